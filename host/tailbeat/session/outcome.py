@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Literal
 
 from tailbeat.core.errors import InputError
+from tailbeat.core.faults import ABORT_COMMAND, REBOOT, fault_info
 from tailbeat.core.trial_checks import HeadingDrift
-from tailbeat.link.messages import TrialOutcome
+from tailbeat.link.messages import BoardStatus, TrialOutcome
 
 
 class StopKind(Enum):
@@ -160,3 +161,14 @@ class RecordedTrial:
     def other_problems(self) -> tuple[str, ...]:
         """Without the first one of a trial that was not executed to its end: how it ended."""
         return self.problems if self.outcome.end == "complete" else self.problems[1:]
+
+
+def end_of(status: BoardStatus, trial: int, has_restarted: bool) -> str:
+    """How a trial ended, as a trial file's header has it."""
+    fault = status.fault
+    if fault.number:
+        return f"{'aborted' if fault.kind == 'abort' else 'fault'}:{fault.name}"
+    if status.pending_trial == trial and status.beat >= status.beats:
+        return "complete"
+    # Without a restart of the board somebody else has aborted and cleared it.
+    return f"aborted:{fault_info(REBOOT if has_restarted else ABORT_COMMAND).name}"

@@ -161,32 +161,25 @@ def run_series(
         require_meant(fish, experiment)
         if options.typed:
             experiment.journal.add("typed", command=options.typed)
-        return _swim_series(fish, experiment, operator, options, camera, guard)
+        around = TrialSetup(fish, operator, camera, guard, options.reconnect_s)
+        log = SessionLog(experiment, experiment.journal)
+        series = _Series(around, log, options, Decisions(fish, operator, log, options.learn))
+        return _run_safely(series, fish)
 
 
 def _require_no_repeat(experiment: Experiment) -> None:
-
     if held_before(experiment) is not None:
         raise InputError(
-            "a repeat of the best after a battery swap was broken off, and the board still has the"
-            " best amplitudes in place of those that swim next.",
+            "a repeat of the best after a battery swap was interrupted; the board still holds the"
+            " best input in place of the next one.",
             f"To finish it: {RESUME_COMMAND}",
         )
 
 
-def _swim_series(
-    fish: Fish,
-    experiment: Experiment,
-    operator: Operator,
-    options: Options,
-    camera: Camera | None,
-    guard: Guard | None,
-) -> SeriesEnd:
-    around = TrialSetup(fish, operator, camera, guard, options.reconnect_s)
-    account = SessionLog(experiment, experiment.journal)
-    series = _Series(around, account, options, Decisions(fish, operator, account, options.learn))
+def _run_safely(series: _Series, fish: Fish) -> SeriesEnd:
+    """The tail is still when this returns or raises."""
     try:
-        return series.swim()
+        return series.run()
     except GivenUp as given_up:
         make_safe(fish)
         return series.end("interrupted", str(given_up))
@@ -200,10 +193,10 @@ def _swim_series(
 
 @dataclass
 class _Series:
-    """State of one call of swim_series."""
+    """State of one call of run_series."""
 
     around: TrialSetup
-    account: SessionLog
+    log: SessionLog
     options: Options
     decisions: Decisions
     rounds: list[Round] = field(default_factory=list)
@@ -212,10 +205,10 @@ class _Series:
     yaw_deg: float | None = None  # of the first start, for the ritual to compare with
 
     def end(self, why: str, words: str) -> SeriesEnd:
-        write_redo(self.account.experiment)
+        write_redo(self.log.experiment)
         return SeriesEnd(why, words, self.rounds, self.verdict)
 
-    def swim(self) -> SeriesEnd:
+    def run(self) -> SeriesEnd:
         end = self._catch_up() or self._enough()
         while end is None:
             end = self._battery() or self._switched_off() or self._round() or self._enough()
@@ -224,7 +217,7 @@ class _Series:
     def _catch_up(self) -> SeriesEnd | None:
         """What an earlier call, or somebody else, has left: a trial that waits, a stopped board,
         something learned that was not written down."""
-        fish, open_trial = self.around.fish, self.account.open_trial()
+        fish, open_trial = self.around.fish, self.log.open_trial()
         if fish.status().state == "ARMED":
             fish.disarm()
         status = settled(fish, open_trial)
@@ -244,21 +237,21 @@ class _Series:
     def _switched_off(self) -> SeriesEnd | None:
         """Before each swim: the hull may have been open, and whether the best is repeated first is
         the operator's to say. Before there is a best nothing can tell a shift."""
-        fish, journal = self.around.fish, self.account.journal
-        require_meant(fish, self.account.experiment)
+        fish, journal = self.around.fish, self.log.journal
+        require_meant(fish, self.log.experiment)
         if self.options.of_best or fish.status().best_iteration is None:
             return None
         if (trial := switched_off_since(fish, journal)) is None:
             return None
         words = f"the board was switched off since trial {trial}, and the fish may have shifted."
         if not self.around.operator.confirm(f"{words} Go on without a repeat of the best?"):
-            return self.end("stopped", f"{words} Then: tailbeat session resume")
+            return self.end("stopped", f"{words} Then: {RESUME_COMMAND}")
         accepted(fish, journal)
         return None
 
     def _finish_old(self, number: int) -> SeriesEnd | None:
         fish = self.around.fish
-        log = keep_log(fish, self.account.experiment, number)
+        log = keep_log(fish, self.log.experiment, number)
         recorded = record_of(outcome_of(log.trial), log, None)
         self._take(recorded)
         status = fish.status()
@@ -275,8 +268,8 @@ class _Series:
 
     def _gone(self, recorded: RecordedTrial) -> None:
         """It could have been learned from, and does not wait any more: somebody has dropped it."""
-        if self.account.decision_on(recorded.file) is None:
-            self.account.decided(recorded, Decision("discard", "dropped by another program"))
+        if self.log.decision_on(recorded.file) is None:
+            self.log.decided(recorded, Decision("discard", "dropped by another program"))
 
     def _cleared(self) -> SeriesEnd | None:
         """The board is not stopped, or the operator lets it go on."""
@@ -294,11 +287,11 @@ class _Series:
         swam in its place, or before it, is none of this experiment's."""
         if not self._has_log(number):
             return False
-        fish, experiment = self.around.fish, self.account.experiment
-        if self.account.is_begun(peek_log(fish, experiment, number)):
+        fish, experiment = self.around.fish, self.log.experiment
+        if self.log.is_begun(peek_log(fish, experiment, number)):
             return True
         drop_peeked(experiment, number)
-        self.account.void(number, "another swim")
+        self.log.void(number, "another swim")
         self._notice(f"trial {number} on the board is not the one that was begun here; it is left")
         return False
 
@@ -306,17 +299,18 @@ class _Series:
         return any(trial.number == number for trial in self.around.fish.trials())
 
     def _write_down_owed(self, last_learned: int | None) -> None:
-        owed = self.account.owed()
+        owed = self.log.owed()
         if owed is not None and owed == last_learned:
             report = self.around.fish.learn(owed)  # said again it only tells what it learned
             self.decisions.write_down(report)
-            copy_state(self.around.fish, self.account.experiment)
+            copy_state(self.around.fish, self.log.experiment)
 
     def _enough(self) -> SeriesEnd | None:
         """Whether the series has reached its end."""
         until, verdict = self.options.until, self.verdict
         if until.swims is not None and self.counted >= until.swims:
-            return self.end("swims", _counted_words(self.counted))
+            plural = "" if self.counted == 1 else "s"
+            return self.end("swims", f"{self.counted} trial{plural}")
         if until.converged and verdict is not None and verdict.stop:
             why = "converged" if verdict.saturation is None else "saturated"
             return self.end(why, f"{verdict.stop_reason}: {verdict.advice}")
@@ -336,8 +330,8 @@ class _Series:
         now_v = fish.status().battery_v
         params = fish.params.values("BATT_LOW_V", "BATT_CRIT_V")
         if (words := too_low(now_v, params)) is not None:
-            return self.end("battery", f"{words}; change it, then: tailbeat session resume")
-        if (words := forecast(now_v, self.account.drains(), params)) is not None:
+            return self.end("battery", f"{words}; change it, then: {RESUME_COMMAND}")
+        if (words := forecast(now_v, self.log.drains(), params)) is not None:
             self._notice(words)
         return None
 
@@ -358,7 +352,9 @@ class _Series:
         decision = self.decisions.decide(recorded)
         end = self._settle(recorded, decision, counts=True)
         if end is None and recorded.outcome.end.endswith(f":{fault_info(REBOOT).name}"):
-            return self.end("stopped", _restart_words(recorded.outcome.number))
+            fault = fault_info(REBOOT)
+            words = f"trial {recorded.outcome.number}: {fault.meaning}. {fault.remedy}"
+            return self.end("stopped", f"{words} Then: {RESUME_COMMAND}")
         if end is None and by_hand:
             return self.end("interrupted", f"trial {recorded.outcome.number} was {BY_HAND}")
         return end
@@ -379,7 +375,7 @@ class _Series:
         status = fish.status()
         volts = ready.battery_v if ready is not None else status.battery_v
         board_s = fish.clock.now_s()
-        self.account.begun(status.next_trial, status.iteration, ready, volts, board_s)
+        self.log.begun(status.next_trial, status.iteration, ready, volts, board_s)
         if wanted is not None:
             self._count_down(wanted, status.next_trial)
         return ready, guarded
@@ -389,7 +385,7 @@ class _Series:
             countdown(self.around.fish, wanted, self.around.operator)
         except BaseException:
             with contextlib.suppress(InputError):  # what ended the countdown is what is told
-                self.account.void(number, "not started")
+                self.log.void(number, "not started")
             raise
 
     def _start_yaw_deg(self, wanted: PreflightLimits) -> float | None:
@@ -399,33 +395,32 @@ class _Series:
             return self.yaw_deg if wanted.start_yaw_deg is None else wanted.start_yaw_deg
         fish = self.around.fish
         on_s = fish.clock.now_s()
-        return self.account.first_yaw_deg(datetime.now().astimezone() - timedelta(seconds=on_s))
+        return self.log.first_yaw_deg(datetime.now().astimezone() - timedelta(seconds=on_s))
 
     def _swim(
         self, around: TrialSetup, ready: Ready | None, guarded: GuardedTrial
     ) -> tuple[RecordedTrial, bool] | SeriesEnd:
         """The trial, in the raw files; and whether the operator stopped it. An end when it was
         stopped before the board had begun a log."""
-        fish, experiment = around.fish, self.account.experiment
+        fish, experiment = around.fish, self.log.experiment
         pose = ready.pose if ready else None
         heading_rad = pose.heading_rad if pose and pose.heading_rad is not None else 0.0
         swam = execute(around, experiment, guarded, heading_rad)
         number = swam.outcome.number
         stopped = BY_HAND if swam.outcome.interrupted else swam.stopped
         if swam.outcome.executed_beats == 0 and not self._has_log(number):
-            self.account.void(number, swam.outcome.end)
+            self.log.void(number, swam.outcome.end)
             status = fish.status()
             if status.state in STOPPED and not dangerous(status.fault):
                 fish.clear()
             words = f"trial {number} ended before its first beat ({stopped or swam.outcome.end})"
             return self.end("interrupted" if stopped == BY_HAND else "stopped", words)
-        log = keep_log(fish, experiment, number)
-        recorded = record_of(swam.outcome, log, ready, stopped)
+        recorded = record_of(swam.outcome, keep_log(fish, experiment, number), ready, stopped)
         self._take(recorded)
         return recorded, stopped == BY_HAND
 
     def _take(self, recorded: RecordedTrial) -> None:
-        self.account.recorded(recorded)
+        self.log.recorded(recorded)
         self.around.operator.tell(TrialRecorded(recorded))
 
     def _settle(
@@ -438,22 +433,13 @@ class _Series:
         if done.learned is not None:
             around = self.around
             self.verdict = assess_series(
-                around.fish, around.operator, self.account, done.learned.rolled_back
+                around.fish, around.operator, self.log, done.learned.rolled_back
             )
         if not done.left:
             return None
         critical = self.around.fish.status().fault.number == BATTERY_CRITICAL
-        then = "tailbeat session resume" if critical else "tailbeat board clear"
+        then = RESUME_COMMAND if critical else "tailbeat board clear"
         return self.end("stopped", f"{done.left} Then: {then}")
 
     def _notice(self, text: str) -> None:
         self.around.operator.tell(Notice(text))
-
-
-def _restart_words(number: int) -> str:
-    fault = fault_info(REBOOT)
-    return f"trial {number}: {fault.meaning}. {fault.remedy} Then: tailbeat session resume"
-
-
-def _counted_words(count: int) -> str:
-    return f"{count} swim{'' if count == 1 else 's'}"

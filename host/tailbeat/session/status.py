@@ -113,13 +113,13 @@ def words(found: SessionStatus) -> list[str]:
     lines = [
         f"experiment  {found.experiment}",
         f"fish        {found.unique_id}{simulated}, {found.state}{pending}",
-        f"learning    {found.swims} swim{'' if found.swims == 1 else 's'}, {_next(found)}",
+        f"learning    {found.swims} trial{'' if found.swims == 1 else 's'}, {_next(found)}",
         f"battery     {_battery(found)}",
     ]
     if found.verdict is not None:
-        lines.append(f"verdict     {_judgement(found, found.verdict)}")
+        lines.append(f"assessment  {_judgement(found, found.verdict)}")
     elif found.problem:
-        lines.append(f"verdict     none: {found.problem}")
+        lines.append(f"assessment  none: {found.problem}")
     return lines + [f"limits      {line}" for line in found.advice]
 
 
@@ -139,11 +139,11 @@ def _best(found: SessionStatus) -> str:
 def _battery(found: SessionStatus) -> str:
     now = f"{found.battery_v:.2f} V"
     if found.battery_start_v is None or found.fall_v is None:
-        return f"{now}; no swim on it yet"
-    text = f"{found.battery_start_v:.2f} -> {now}, {found.fall_v * 1e3:.0f} mV per swim"
+        return f"{now}; no trial on it yet"
+    text = f"{found.battery_start_v:.2f} -> {now}, {found.fall_v * 1e3:.0f} mV per trial"
     if found.trials_left is None:
         return text
-    return f"{text}, about {found.trials_left} swim{'' if found.trials_left == 1 else 's'} left"
+    return f"{text}, about {found.trials_left} trial{'' if found.trials_left == 1 else 's'} left"
 
 
 def _judgement(found: SessionStatus, verdict: Assessment) -> str:

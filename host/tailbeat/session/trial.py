@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from dataclasses import astuple, dataclass, field
-from typing import NoReturn
 
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import ConnectError, LinkLostError, Refused, TailbeatError
 from tailbeat.core.faults import (
-    ABORT_COMMAND,
     NOT_STILL,
-    REBOOT,
     STALE_COMMAND,
-    FaultInfo,
-    fault_info,
 )
 from tailbeat.core.frames import Camera, TrackReset, Unseen
 from tailbeat.core.speed_source import SpeedSource, source_info
@@ -35,7 +31,7 @@ from tailbeat.session.events import (
     TrialWarning,
 )
 from tailbeat.session.guards import Guard
-from tailbeat.session.outcome import StopKind, StopReason
+from tailbeat.session.outcome import StopKind, StopReason, end_of
 from tailbeat.session.trial_camera import TrialCamera, camera_of
 
 _POLL_S = 0.02  # of board time; a camera behind another socket does not end a wait
@@ -44,7 +40,7 @@ _SETTLE_MARGIN_S = 2.0
 _STILL_LOOK_S = 0.5
 _STALL_S = 60.0  # of board time without a new beat or state; no beat and no settling is longer
 _RETRY_S = 0.5
-_DOUBT_FRAMES = 6  # in one attempt; a board sends two a second, a stray one proves nothing
+_REJECTED_MAX = 6  # in one attempt; a board sends two a second, a stray one proves nothing
 _HEARTBEAT_S = 0.3  # of board time; many of them may be lost before the board stops the tail
 _REST_WAIT_S = 30.0  # of board time: the board waits so long for the fish to rest after the swim
 _STILL_WAIT_S = 60.0  # of board time, for somebody to hold the fish still before the start
@@ -69,7 +65,6 @@ class _Run:
     stopped_at_s: float | None = None
     abort_reason: StopReason | None = None
     abort_wanted: bool = False
-    at_wall: bool = False
     progress: tuple[str, int] | None = None
     progress_at_s: float = 0.0
     interrupted: bool = False
@@ -122,8 +117,7 @@ def run_trial(
     LinkLostError
         The link broke and stayed so; the board stops by its own rules.
     """
-    run = _Run(fish, on_event or (lambda _: None), guard, reconnect_s)
-    run.direction_rad = direction_rad
+    run = _Run(fish, on_event or (lambda _: None), guard, reconnect_s, direction_rad=direction_rad)
     with camera_of(fish, camera) as used:
         return _execute(run, used)
 
@@ -150,28 +144,26 @@ def _execute(run: _Run, camera: Camera | None) -> TrialOutcome:
         raise
     except BaseException:
         stop_listening()  # what a listener raised it would raise again
-        _stop(run)
+        if run.may_swim:  # a tail that beats needs its loop
+            with contextlib.suppress(TailbeatError):
+                _abort(run)
         raise
     finally:
         stop_listening()
         fish.link.heartbeat_period_s = heartbeat_period_s
 
 
-def _stop(run: _Run) -> None:
-    """Before an error leaves: a tail that beats needs its loop."""
-    if run.may_swim:
-        with contextlib.suppress(TailbeatError):
-            _abort(run)
-
-
 def _abort(run: _Run) -> None:
-    run.fish.abort(wall=True) if run.at_wall else run.fish.abort()
+    reason = run.abort_reason
+    run.fish.abort(wall=reason is not None and reason.kind is StopKind.WALL)
 
 
 def _prepare(run: _Run, camera: Camera | None) -> None:
     fish = run.fish
     run.settle_s = fish.params.get("SETTLE_S").value
     window_s = fish.params.get("SPD_WINDOW_S").value
+    record = fish.reference_record()
+    beat_s = records.decode_reference(record).beat_s if record is not None else 1.0
     run.source = fish.speed_source()
     if camera is None and run.source.sampled:
         text = "no camera, but SPD_SOURCE is vision: this trial will have no speeds"
@@ -180,11 +172,12 @@ def _prepare(run: _Run, camera: Camera | None) -> None:
         run.camera = TrialCamera(
             fish,
             camera,
-            window_s=max(window_s, _beat_s(fish)) if window_s > 0 else 1.0,
+            # a line over less than a beat would see part of the tail's swing
+            window_s=max(window_s, beat_s) if window_s > 0 else 1.0,
             dispensable=not run.source.sampled,
             emit=run.emit,
             consult=lambda what: _consult(run, what),
-            abort=lambda: _want_abort(run),
+            abort=lambda: setattr(run, "abort_wanted", True),
             direction_rad=run.direction_rad,
         )
         run.camera.begin()
@@ -193,27 +186,16 @@ def _prepare(run: _Run, camera: Camera | None) -> None:
         fish.arm()
 
 
-def _beat_s(fish: Fish) -> float:
-    """Of the board's reference; a line over less than a beat would see part of the tail's swing."""
-    record = fish.reference_record()
-    return records.decode_reference(record).beat_s if record is not None else 1.0
-
-
 def _start(run: _Run) -> None:
+    fish = run.fish
     try:
-        _command_start(run)
+        status = fish.status()
+        run.number, run.iteration = status.next_trial, status.iteration
+        _send_start(run)
     except (KeyboardInterrupt, LinkLostError):
         with contextlib.suppress(TailbeatError):
-            run.fish.abort()  # the board may have got the command already
+            fish.abort()  # the board may have got the command already
         raise
-
-
-def _command_start(run: _Run) -> None:
-    fish = run.fish
-    status = fish.status()
-    run.number = status.next_trial
-    run.iteration = status.iteration
-    _send_start(run)
     run.progress_at_s = fish.transport.now_s()
     run.emit(TrialStarted(run.number, run.iteration))
 
@@ -225,7 +207,7 @@ def _send_start(run: _Run) -> None:
     _wait_until_still(run)
     while True:
         try:
-            _say_start(run)
+            _command_start(run)
             return
         except Refused as refused:
             run.may_swim = False
@@ -235,13 +217,13 @@ def _send_start(run: _Run) -> None:
         _wait_until_still(run)
 
 
-def _say_start(run: _Run) -> None:
+def _command_start(run: _Run) -> None:
     """Until the board says yes, or is seen to swim: its yes may be lost. Speeds flow meanwhile."""
     fish = run.fish
-    _look_afresh(run, began=False)
+    _reset_track(run, began=False)
     for attempt, patience_s in enumerate(fish.link.attempts()):
         if run.status is not None:  # it has spoken, does not swim: has not heard of the start
-            _look_afresh(run, began=True)
+            _reset_track(run, began=True)
         # The board keeps single precision: rounding up could make the command come from the
         # future, which is harmless, rounding by more than milliseconds needs a board up for days.
         run.may_swim = True
@@ -255,7 +237,7 @@ def _say_start(run: _Run) -> None:
             return
 
 
-def _look_afresh(run: _Run, began: bool) -> None:
+def _reset_track(run: _Run, began: bool) -> None:
     """Forgets what was. ``began``: the board may swim already, nothing of the camera's raises."""
     run.status = None
     if run.camera is None:
@@ -268,19 +250,16 @@ def _started(run: _Run, patience_s: float) -> bool:
     """Whether the board is known to swim this trial before the patience ends. Raises Refused."""
     link = run.fish.link
     end_s = link.transport.now_s() + patience_s
+    start = mavlink.TAILBEAT_CMD_TRIAL_START
     while (left_s := end_s - link.transport.now_s()) > 0:
         poll_s = min(_POLL_S / max(run.fish.clock.rate, 1.0), left_s)
-        ack = link.recv("COMMAND_ACK", poll_s, _answers_start)
+        ack = link.recv("COMMAND_ACK", poll_s, lambda ack: ack.command == start)
         if _swims(run):
             return True
         if ack is not None and ack.result_param2 != STALE_COMMAND and link.accepted(ack):
             return True
         _send_speeds(run)
     return False
-
-
-def _answers_start(message: Message) -> bool:
-    return bool(message.command == mavlink.TAILBEAT_CMD_TRIAL_START)
 
 
 def _swims(run: _Run) -> bool:
@@ -340,25 +319,20 @@ def _take_status(run: _Run, status: BoardStatus) -> None:
 
 
 def _consult(run: _Run, what: object) -> None:
-    if run.guard is not None and run.abort_reason is None and not _has_swum(run):
+    if run.guard is not None and run.abort_reason is None and not _has_ended(run):
         run.abort_reason = run.guard(what)
         if run.abort_reason is not None:
-            run.at_wall = run.abort_reason.kind is StopKind.WALL
-            _want_abort(run)
+            run.abort_wanted = True
             run.emit(TrialStopped(run.abort_reason))
 
 
-def _has_swum(run: _Run) -> bool:
+def _has_ended(run: _Run) -> bool:
     """All there was to swim, or it does not swim at all; not while the start is being said."""
     status = run.status
     if status is None:
         return False
     whole = status.beats > 0 and status.beats - 1 in run.beats
     return whole or status.state not in ("ARMED", "RUNNING")
-
-
-def _want_abort(run: _Run) -> None:
-    run.abort_wanted = True
 
 
 def _step(run: _Run) -> None:
@@ -379,15 +353,11 @@ def _step(run: _Run) -> None:
     if silent_s > _SILENCE_S:
         _reconnect(run)
     if (link.transport.now_s() - run.progress_at_s) * run.fish.clock.rate > _STALL_S + run.settle_s:
-        _give_up(run)
-
-
-def _give_up(run: _Run) -> NoReturn:
-    state = run.status.state if run.status else "nothing"
-    raise TailbeatError(
-        f"trial {run.number} makes no progress; the board says {state} and was told to stop",
-        "Look with 'tailbeat info'; switch it off if the tail still beats.",
-    )
+        state = run.status.state if run.status else "nothing"
+        raise TailbeatError(
+            f"trial {run.number} makes no progress; the board reports {state}; it is sent a stop",
+            "Look with 'tailbeat info'; switch it off if the tail still beats.",
+        )
 
 
 def _send_speeds(run: _Run) -> None:
@@ -425,15 +395,20 @@ def _reconnect(run: _Run) -> None:
     deadline = link.transport.now_s() + run.reconnect_s
     retry_s = _RETRY_S
     while link.transport.now_s() < deadline:
-        before = _disbelieved(run)
+        before = _rejected_frames(run)
         try:
             link.reopen()
             status = BoardStatus.of(link.request("TAILBEAT_STATUS"))
             run.fish.clock.sync()
         except (ConnectError, LinkLostError):
-            if _disbelieved(run) - before >= _DOUBT_FRAMES:
-                raise _not_believed(run) from None
-            _rest(run, min(retry_s, max(0.0, deadline - link.transport.now_s())))
+            if _rejected_frames(run) - before >= _REJECTED_MAX:
+                raise LinkLostError(
+                    f"trial {run.number} continues without this program, because the board's"
+                    f" messages are rejected: {link.signing.why_silent()}",
+                    "The board stops by itself; look with 'tailbeat board key status' what is"
+                    " there, and connect again.",
+                ) from None
+            _pause(run, min(retry_s, max(0.0, deadline - link.transport.now_s())))
             retry_s = min(2 * retry_s, 5.0)
             continue
         if run.camera is not None:
@@ -450,50 +425,24 @@ def _reconnect(run: _Run) -> None:
     )
 
 
-def _disbelieved(run: _Run) -> int:
+def _rejected_frames(run: _Run) -> int:
     """Frames since the last one of the board's that was believed."""
     return sum(astuple(run.fish.link.signing.refused))
 
 
-def _not_believed(run: _Run) -> LinkLostError:
-    return LinkLostError(
-        f"trial {run.number} was left alone, because the board is not believed:"
-        f" {run.fish.link.signing.why_silent()}",
-        "The board stops by itself; look with 'tailbeat board key status' what is there, and "
-        "connect"
-        " again.",
-    )
-
-
-def _rest(run: _Run, duration_s: float) -> None:
+def _pause(run: _Run, duration_s: float) -> None:
     try:
         run.fish.link.transport.wait(duration_s)
     except TailbeatError:
-        import time
-
         time.sleep(duration_s)
 
 
 def _outcome(run: _Run) -> TrialOutcome:
     status = run.status
     assert status is not None
-    outcome = TrialOutcome(
-        run.number,
-        run.iteration,
-        _end(run, status),
-        status.beat if status.trial == run.number else 0,
-        [run.beats[k] for k in sorted(run.beats)],
-        run.interrupted,
-    )
+    executed = status.beat if status.trial == run.number else 0
+    beats = [run.beats[k] for k in sorted(run.beats)]
+    end = end_of(status, run.number, run.restarted)
+    outcome = TrialOutcome(run.number, run.iteration, end, executed, beats, run.interrupted)
     run.emit(TrialEnded(outcome.number, outcome.end))
     return outcome
-
-
-def _end(run: _Run, status: BoardStatus) -> str:
-    fault: FaultInfo = status.fault
-    if fault.number:
-        return f"{'aborted' if fault.kind == 'abort' else 'fault'}:{fault.name}"
-    if status.pending_trial == run.number and status.beat >= status.beats:
-        return "complete"
-    # Without a restart of the board somebody else has aborted and cleared it.
-    return f"aborted:{fault_info(REBOOT if run.restarted else ABORT_COMMAND).name}"

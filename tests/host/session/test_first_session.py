@@ -26,7 +26,7 @@ from tailbeat.learning.saturation import needed_rad, servo_rad
 from tailbeat.link.params import known_parameters
 from tailbeat.session import commission, commission_steps
 from tailbeat.session.commission import CommissionStep, commission_fish
-from tailbeat.session.commission_steps import LimitIncrease, next_limit_increase
+from tailbeat.session.commission_steps import INCREASE_MAX_RAD, LimitIncrease, next_limit_increase
 from tailbeat.session.events import Countdown, Event, StepProgress, TrialStarted
 from tailbeat.session.log import Drain
 from tailbeat.session.outcome import Decision, RecordedTrial
@@ -83,7 +83,7 @@ def test_in_small_steps_up_to_what_the_reference_needs() -> None:
         found := next_limit_increase(params, THESIS, known(), STRAIGHT), LimitIncrease
     ):
         assert found.name == "AMP_MAX_RAD" and found.was == params["AMP_MAX_RAD"]
-        assert 0 < found.to - found.was <= commission.INCREASE_MAX_RAD + 1e-9
+        assert 0 < found.to - found.was <= INCREASE_MAX_RAD + 1e-9
         steps.append(found.to)
         params["AMP_MAX_RAD"] = float(np.float32(found.to))
     need = needed_rad(known(), THESIS)
@@ -331,8 +331,8 @@ def test_status_before_and_after_a_swim(
     experiment = begin(fish, tmp_path)
     copy_state(fish, experiment)
     lines = words(status_of(fish, experiment))
-    assert any("no swim on it yet" in line for line in lines)
-    assert "learning    0 swims, nothing learned yet" in lines
+    assert any("no trial on it yet" in line for line in lines)
+    assert "learning    0 trials, nothing learned yet" in lines
     assert lines[-1].startswith("limits      AMP_MAX_RAD stays 0.50: nobody knows yet")
 
 

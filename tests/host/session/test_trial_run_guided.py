@@ -91,7 +91,7 @@ def test_words_for_people(trial: Command) -> None:
     status, out, err = trial("run", "--then", "keep", *FAST)
     lines = out.splitlines()
     assert status == 0 and lines[0].startswith("trial 1, iteration 1: keep, max|e| ")
-    assert lines[-1] == "ended (swims): 1 swim"
+    assert lines[-1] == "ended (swims): 1 trial"
     assert "ok  still: " in err and "max|e|" in err and "\x1b" not in err
     assert "it swims in" not in err, "what changes is not for a file"
 

@@ -231,7 +231,7 @@ def test_abort_says_no_to_a_question(ready: Tank, monkeypatch: pytest.MonkeyPatc
         answers.append(operator.confirm("go on?"))
         return SeriesEnd("stopped", "not now.", [], None)
 
-    monkeypatch.setattr("tailbeat.app.web.worker.swim_series", series)
+    monkeypatch.setattr("tailbeat.app.web.worker.run_series", series)
     ready.worker.ask("swim", ritual=False)
     ready.wait(lambda now: now.phase == "asking" and now.question == "go on?")
     done = ready.worker.now.done
