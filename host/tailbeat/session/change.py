@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
+from tailbeat.core.printable import mm
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.core.trial_file import Trial
@@ -66,7 +67,7 @@ class FishChange:
     against: int
     within: bool
     remedy: Remedy
-    words: str
+    words: str = ""
 
 
 def change_of(
@@ -91,8 +92,8 @@ def change_of(
     slower, sigma = _mean_shift(original, repeat)
     worst = again.max_abs_error_m_s
     within = low <= worst <= high and thrust.low <= thrust.now <= thrust.high
-    figures = _ChangeFigures(best, again, low, high, thrust, slower, within, straight)
-    return FishChange(
+    turned = straight is not None and straight.crooked
+    found = FishChange(
         best_trial=best.trial,
         best_max_abs_error_m_s=best.max_abs_error_m_s,
         repeat_trial=repeat.number,
@@ -106,9 +107,18 @@ def change_of(
         thrust_high=thrust.high,
         against=thrust.against,
         within=within,
-        remedy=figures.remedy,
-        words=_words(figures),
+        remedy=_remedy(turned, within, thrust),
     )
+    return replace(found, words=_words(found, straight if turned else None))
+
+
+def _remedy(turned: bool, within: bool, thrust: _Thrust) -> Remedy:
+    if turned:
+        return "trim"
+    if within:
+        return "go on"
+    far = thrust.against > 0 and abs(thrust.now - 1) > IDENTIFY_AGAIN
+    return "identify" if far else "learn on"
 
 
 def require_best(series: Sequence[Trial], input_crc: int) -> None:
@@ -226,31 +236,6 @@ def _mean_shift(original: Trial, repeat: Trial) -> tuple[float, float]:
     return float(known.mean()), float(known.std(ddof=1) / math.sqrt(known.size))
 
 
-@dataclass(frozen=True)
-class _ChangeFigures:
-    best: Score
-    again: Score
-    low: float
-    high: float
-    thrust: _Thrust
-    speed_shift_m_s: float
-    within: bool
-    straight: HeadingDrift | None
-
-    @property
-    def turned(self) -> bool:
-        return self.straight is not None and self.straight.crooked
-
-    @property
-    def remedy(self) -> Remedy:
-        if self.turned:
-            return "trim"
-        if self.within:
-            return "go on"
-        far = self.thrust.against > 0 and abs(self.thrust.now - 1) > IDENTIFY_AGAIN
-        return "identify" if far else "learn on"
-
-
 _REMEDIES: dict[Remedy, str] = {
     "go on": "Go on: tailbeat trial run",
     "learn on": "Let it learn on, a trial or two take that up: tailbeat trial run",
@@ -260,34 +245,22 @@ _REMEDIES: dict[Remedy, str] = {
 }
 
 
-def _words(found: _ChangeFigures) -> str:
-    best, again = found.best, found.again
+def _words(found: FishChange, straight: HeadingDrift | None) -> str:
+    """``straight``: of a repeat that turned."""
+    thrust = "thrust not known"
+    if found.against:
+        band = f"{found.thrust_low:.2f} to {found.thrust_high:.2f} are noise"
+        thrust = f"thrust {found.thrust:.2f} of what it was ({band})"
     figures = (
-        f"max|e| {_mm(again.max_abs_error_m_s)} mm/s (95 of 100 repeats have {_mm(found.low)} to "
-        f"{_mm(found.high)}), {_thrust_words(found.thrust)}"
+        f"max|e| {mm(found.repeat_max_abs_error_m_s)} mm/s (95 of 100 repeats have "
+        f"{mm(found.low_m_s)} to {mm(found.high_m_s)}), {thrust}"
     )
-    told = f"trial {again.trial} repeats trial {best.trial}"
+    repeats = f"trial {found.repeat_trial} repeats trial {found.best_trial}"
     if found.remedy == "go on":
-        return f"{told} within noise: {figures}. {_REMEDIES[found.remedy]}"
-    return f"{told}, but the fish has shifted: {figures}{_how(found)}. {_REMEDIES[found.remedy]}"
-
-
-def _thrust_words(thrust: _Thrust) -> str:
-    if not thrust.against:
-        return "thrust not known"
-    low, high = thrust.low, thrust.high
-    return f"thrust {thrust.now:.2f} of what it was ({low:.2f} to {high:.2f} are noise)"
-
-
-def _how(found: _ChangeFigures) -> str:
-    shift = found.speed_shift_m_s
-    words = ""
-    if math.isfinite(shift):
-        words = f", {_mm(abs(shift))} mm/s {'slower' if shift < 0 else 'faster'} on average"
-    if found.turned and found.straight is not None:
-        words += f"; it turned by {math.degrees(found.straight.worst_yaw_rad):+.0f} degrees"
-    return words
-
-
-def _mm(value_m_s: float) -> str:
-    return f"{value_m_s * 1e3:.1f}"
+        return f"{repeats} within noise: {figures}. {_REMEDIES[found.remedy]}"
+    faster = found.speed_shift_m_s
+    if math.isfinite(faster):
+        figures += f", {mm(abs(faster))} mm/s {'slower' if faster < 0 else 'faster'} on average"
+    if straight is not None:
+        figures += f"; it turned by {math.degrees(straight.worst_yaw_rad):+.0f} degrees"
+    return f"{repeats}, but the fish has changed: {figures}. {_REMEDIES[found.remedy]}"

@@ -106,6 +106,23 @@ def settled(fish: Fish, expected: int | None = None) -> BoardStatus:
         fish.link.run(_LOOK_S / rate)
 
 
+def require_idle(fish: Fish, then: str = "") -> BoardStatus:
+    """The status of an idle board without a pending trial. ``then``: what to do after the remedy.
+    Raises InputError."""
+    status = fish.status()
+    if status.pending_trial is not None:
+        raise InputError(
+            f"trial {status.pending_trial} is neither learned nor discarded.",
+            f"tailbeat learn, or tailbeat trial discard --reason WHY{then}.",
+        )
+    if status.state != "IDLE":
+        raise InputError(
+            f"the board is {status.state}, not IDLE.",
+            f"tailbeat board disarm or tailbeat board clear{then}.",
+        )
+    return status
+
+
 NO_SPEED = "beats have no speed"
 
 
@@ -260,7 +277,7 @@ def drop_peeked(experiment: Experiment, number: int) -> None:
     folder = experiment.folder / ".pulling"
     with contextlib.suppress(OSError):
         (folder / f"{number:04d}.ulg").unlink(missing_ok=True)
-        position_store(experiment, number).drop()
+        position_store(experiment, number).path.unlink(missing_ok=True)
         folder.rmdir()
 
 

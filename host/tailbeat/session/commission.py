@@ -27,6 +27,7 @@ from tailbeat.learning.design import design, law_words
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import IdentificationRun
 from tailbeat.learning.saturation import needed_rad, servo_rad
+from tailbeat.session.collect import require_idle
 from tailbeat.session.commission_steps import (
     LimitIncrease,
     next_limit_increase,
@@ -119,8 +120,8 @@ class _Session:
     def look(self) -> CommissionStep:
         """Whether it can swim at all; then the reference."""
         fish = self.fish
-        restore_interrupted(fish, preserve_folder(library_of(fish)), self._note)
-        _require_idle(fish)
+        restore_interrupted(fish, preserve_folder(logbook_of(fish)), self._note)
+        require_idle(fish)
         params = fish.params.values()
         findings = look_at(fish)
         problems = [f"{one.name}: {one.line}" for one in findings if one.status == PROBLEM]
@@ -282,20 +283,6 @@ class _Session:
                 f"{otherwise}: the answer was no.",
                 "Begin again with 'tailbeat session commission'; --yes answers for a script.",
             )
-
-
-def _require_idle(fish: Fish) -> None:
-    status = fish.status()
-    if status.pending_trial is not None:
-        raise InputError(
-            f"trial {status.pending_trial} is neither learned nor discarded.",
-            "tailbeat learn, or tailbeat trial discard --reason WHY.",
-        )
-    if status.state != "IDLE":
-        raise InputError(
-            f"the board is {status.state}, not IDLE.",
-            "tailbeat board disarm or tailbeat board clear.",
-        )
 
 
 def _tank_question(params: dict[str, float]) -> str:

@@ -36,7 +36,7 @@ from tailbeat.learning.saturation import (
 )
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.change import slope_of
-from tailbeat.session.events import Notice, Operator
+from tailbeat.session.events import Operator, notice_to
 from tailbeat.session.guards import Guard, GuardedTrial, guards_of
 from tailbeat.session.outcome import Travel
 from tailbeat.session.preflight import prepare
@@ -183,13 +183,11 @@ def try_limit(
     TailbeatError when the swim ends early."""
     book = library_of(fish)
 
-    def note(text: str) -> None:
-        operator.tell(Notice(text))
-
     def keep(path: Path) -> None:
         if book is not None:
             book.keep(path, RUN)
 
+    note = notice_to(operator)
     with preserved(fish, preserve_folder(book), note, "session commission", (AMP_MAX,)) as board:
         allowed = board.params | {AMP_MAX: amplitude_rad}
         amplitude = profile(amplitude_rad, identified, allowed)

@@ -181,3 +181,8 @@ class Operator(Protocol):
 
     def confirm(self, question: str) -> bool:
         """A question with yes or no; as above."""
+
+
+def notice_to(operator: Operator) -> Callable[[str], None]:
+    """Reports a text as a Notice."""
+    return lambda text: operator.tell(Notice(text))

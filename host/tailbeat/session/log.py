@@ -25,7 +25,7 @@ from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import reference_crc
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.journal import Journal
-from tailbeat.session.outcome import KINDS, Decision, Ready, RecordedTrial, StopReason
+from tailbeat.session.outcome import KINDS, Decision, Ready, RecordedTrial
 
 _LOOK_BACK = 3  # swims the fall is averaged over: one reading scatters by some 20 mV
 
@@ -172,6 +172,7 @@ class SessionLog:
     def recorded(self, recorded: RecordedTrial) -> None:
         """Once its log is in the raw files; a second time does nothing."""
         number, file = recorded.outcome.number, recorded.file.name
+        stopped = recorded.stopped
         if any(entry.get("file") == file for entry in self.journal.entries("swum")):
             return
         begun = self._last(("begun", "swum"))
@@ -194,7 +195,7 @@ class SessionLog:
             battery_end_v=recorded.battery_end_v,
             straight=None if recorded.straight is None else asdict(recorded.straight),
             problems=list(recorded.problems),
-            stopped=None if recorded.stopped is None else _stop_entry(recorded.stopped),
+            stopped=stopped and {"kind": stopped.kind.value, "text": stopped.text},
         )
 
     def decided(self, recorded: RecordedTrial, decision: Decision) -> None:
@@ -274,20 +275,10 @@ class SessionLog:
         return found
 
 
-def _stop_entry(stopped: StopReason) -> Entry:
-    return {"kind": stopped.kind.value, "text": stopped.text}
-
-
 def _found(ready: Ready | None) -> Entry:
     """What the ritual found, as the journal keeps it."""
-    if ready is None:
-        return {"rested_s": None, "pose": None, "drift": None, "travel": None}
-    return {
-        "rested_s": ready.rested_s,
-        "pose": None if ready.pose is None else asdict(ready.pose),
-        "drift": None if ready.drift is None else asdict(ready.drift),
-        "travel": asdict(ready.travel),
-    }
+    found = None if ready is None else asdict(ready)
+    return {key: found and found[key] for key in ("rested_s", "pose", "drift", "travel")}
 
 
 RESUME_COMMAND = "tailbeat session resume"

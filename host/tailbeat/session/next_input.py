@@ -218,23 +218,10 @@ def next_step(
     setting: ModelStepSetting, identified: Identified, swims: Sequence[TrialSpeeds]
 ) -> ModelStep:
     """Proposes; changes nothing."""
-    proposal = propose(
-        identified,
-        setting.reference,
-        setting.amplitude_max_rad,
-        swims,
-        setting.law,
-        setting.step_max_rad,
-    )
-    document = document_of(
-        proposal,
-        identified,
-        setting.reference,
-        setting.amplitude_max_rad,
-        swims,
-        setting.law,
-        setting.step_max_rad,
-    )
+    reference, limit_rad = setting.reference, setting.amplitude_max_rad
+    rest = (reference, limit_rad, swims, setting.law, setting.step_max_rad)
+    proposal = propose(identified, *rest)
+    document = document_of(proposal, identified, *rest)
     return ModelStep(proposal, predicted_before(identified, setting.reference, swims), document)
 
 

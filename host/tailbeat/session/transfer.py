@@ -32,6 +32,7 @@ from tailbeat.learning.convergence import best_of, score_of
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.transfer import TOLERANCE, Similarity, Transferred, similarity, transfer
+from tailbeat.session.collect import require_idle
 from tailbeat.session.identify import MODEL_PARAMS
 
 INPUT_LAW, INPUT_FIRST, INPUT_UPLOADED, INPUT_RESTORED = range(4)  # memory_input_t
@@ -242,17 +243,7 @@ class _State:
 
 
 def _state(fish: Fish, new: Reference) -> _State:
-    status = fish.status()
-    if status.pending_trial is not None:
-        raise InputError(
-            f"trial {status.pending_trial} is neither learned nor discarded.",
-            "tailbeat learn, or tailbeat trial discard; then upload.",
-        )
-    if status.state != "IDLE":
-        raise InputError(
-            f"the board is {status.state}, not IDLE.",
-            "tailbeat board disarm or tailbeat board clear; then upload.",
-        )
+    status = require_idle(fish, "; then upload")
     reference, learned = fish.reference_record(), fish.learned_record()
     swims_it = status.reference_crc == new.crc
     if swims_it and not _is_fresh(learned):

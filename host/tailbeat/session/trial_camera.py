@@ -54,16 +54,7 @@ class PositionStore:
         """Keeps them, in board time. Raises InputError (disk full)."""
         if not frames:
             return
-        by_board = camera.clock == "board"
-        rows = [
-            Frame(
-                frame.t_s if by_board else clock.board_s(frame.t_s),
-                frame.x_m,
-                frame.y_m,
-                frame.heading_rad,
-            )
-            for frame in frames
-        ]
+        rows = [replace(frame, t_s=board_time_s(frame, camera, clock)) for frame in frames]
         self.path.parent.mkdir(exist_ok=True)
         write_whole(self.path, as_csv(rows, 0.0), MAKE_ROOM)
 
@@ -72,17 +63,10 @@ class PositionStore:
         the same number (a board whose storage was made anew)."""
         start_s = trial.start_us * 1e-6
         end_s = start_s + trial.executed_beats * trial.beat_s
-        frames = [
-            Frame(frame.t_s - start_s, frame.x_m, frame.y_m, frame.heading_rad)
-            for frame in self._read()
-        ]
+        frames = [replace(frame, t_s=frame.t_s - start_s) for frame in self._read()]
         if not frames or frames[-1].t_s < 0 or frames[-1].t_s > end_s - start_s + _AFTER_S:
             return []
         return [frame for frame in frames if frame.t_s > -_BEFORE_S]
-
-    def drop(self) -> None:
-        """They are in the raw files."""
-        self.path.unlink(missing_ok=True)
 
     def _read(self) -> list[Frame]:
         with contextlib.suppress(OSError, ValueError, TypeError):
@@ -91,6 +75,11 @@ class PositionStore:
                 Frame(*(float(cell) for cell in row)) for row in rows if tuple(header) == HEADER
             ]
         return []
+
+
+def board_time_s(frame: Frame, camera: Camera | None, clock: BoardClock) -> float:
+    """When a frame was taken, by the board's clock."""
+    return frame.t_s if camera is not None and camera.clock == "board" else clock.board_s(frame.t_s)
 
 
 def position_store(experiment: Experiment, trial: int) -> PositionStore:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -26,19 +27,14 @@ from tailbeat.experiment.current import current, set_and_save
 from tailbeat.experiment.library import RUN, TrialLibrary, library_of, preserve_folder
 from tailbeat.learning.fit import Scatter
 from tailbeat.link.messages import TrialOutcome
-from tailbeat.session.events import Notice, Operator, StepProgress
+from tailbeat.session.events import Operator, StepProgress, notice_to
 from tailbeat.session.guards import FrameRecorder, Guard, GuardedTrial, guards_of
 from tailbeat.session.outcome import Travel
 from tailbeat.session.preflight import prepare
 from tailbeat.session.preflight_step import GivenUp, PreflightLimits, countdown
 from tailbeat.session.travel import TravelModel, last_measured, travel_by, travel_model_of
 from tailbeat.session.trial import run_trial
-from tailbeat.session.trial_camera import camera_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
+from tailbeat.session.trial_camera import board_time_s, camera_of
 
 CENTRE = "SERVO_CENTRE_US"
 OFFSET_RAD = 0.06  # to either side: turns a fish by some 25 degrees in such a swim, no more
@@ -197,12 +193,11 @@ def find_centre(
     book = library_of(fish)
     belief = _belief(fish, book)
 
-    def note(text: str) -> None:
-        operator.tell(Notice(text))
-
     with ExitStack() as stack:
         camera = stack.enter_context(camera_of(fish, camera))
-        board = stack.enter_context(preserved(fish, preserve_folder(book), note, "trim", (CENTRE,)))
+        board = stack.enter_context(
+            preserved(fish, preserve_folder(book), notice_to(operator), "trim", (CENTRE,))
+        )
         swimmer = _TrimRunner(board, operator, camera, guard, wanted, book)
         planned = plan(belief, board.params)
         was_us = board.params[CENTRE]
@@ -319,16 +314,8 @@ def _reference(planned: TrimPlan) -> F64:
 def _since_begin(
     fish: Fish, camera: Camera | None, frames: list[Frame], trial: Trial
 ) -> list[Frame]:
-
-    by_board = camera is not None and camera.clock == "board"
     begin_s = trial.start_us * 1e-6
-    return [
-        Frame(
-            (f.t_s if by_board else fish.clock.board_s(f.t_s)) - begin_s,
-            f.x_m, f.y_m, f.heading_rad,
-        )
-        for f in frames
-    ]  # fmt: skip
+    return [replace(f, t_s=board_time_s(f, camera, fish.clock) - begin_s) for f in frames]
 
 
 def _turned(log: _Log, course: HeadingTrace, source: str) -> TrimTrial:
