@@ -1,9 +1,9 @@
-"""How far a fish has shifted: one repeat of the best input against what it was.
+"""How much a fish has changed: one repeat of the best input against the trials before.
 
-max|e| alone feels little of it: near the floor it sits where the fish is too fast, and a weaker
-fish makes it smaller there. So the thrust is compared, too: the speeds of every swim against those
-of a model with the same input, as slope (thrust) and offset (flow). What the model misses is the
-same before and after, and cancels.
+max|e| alone shows little of it: near the error bound it sits where the fish is too fast, and a
+weaker fish makes it smaller there. So the thrust is compared, too: the speeds of every trial
+against those of a model with the same input, as slope (thrust) and offset (flow). The error of the
+model is the same before and after, and cancels.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def _thrust(
     model: FishModel,
     identified: Identified | None,
 ) -> _Thrust:
-    """Of the repeat over the mean of the swims whose input was as good as the same."""
+    """Of the repeat over the mean of the trials whose input was as good as the same."""
 
     before = [
         slope_of(trial, model)

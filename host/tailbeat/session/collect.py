@@ -1,16 +1,6 @@
-"""The board between swims: stopped, settling, made safe.
+"""One trial of a series: executed under guards, its log saved, and what the log says.
 
-What is known of one swim when somebody has to decide what becomes of it.
-
-Why beats of a swim have no speed, as far as its log tells.
-
-Puts together what is known of a swim, and what speaks against keeping it.
-
-The log of a swim, from the board into the experiment's raw files, and what it tells.
-
-The verdict on a series: by the trials of its experiment that count.
-
-One swim of a series: the guards around it, and the live view while it goes on.
+Between trials the board is stopped, settling or idle; ``make_safe`` stops the tail.
 """
 
 from __future__ import annotations
@@ -45,7 +35,7 @@ from tailbeat.session.trial_camera import as_csv, position_store
 
 STOPPED = ("ABORTED", "FAULT")
 _BUSY = ("BOOT", "RUNNING", "SETTLING", "LEARNING")
-_IMU_REST_S = 30.0  # of board time: so long it waits for the fish to rest after a swim
+_IMU_REST_S = 30.0  # of board time: so long it waits for the fish to rest after a trial
 _MARGIN_S = 2.0
 _LOOK_S = 0.25
 _SAFE_TRIES = 3
@@ -90,7 +80,7 @@ def require_still(fish: Fish) -> None:
 
 
 def settled(fish: Fish, expected: int | None = None) -> BoardStatus:
-    """The status once the last swim is over for the board, too. ``expected``: a trial that may yet
+    """The status once the last trial is over for the board, too. ``expected``: a trial that may yet
     become pending after it was cut."""
     rate = max(fish.clock.rate, 1.0)
     wait_s = fish.params.get("SETTLE_S").value + _MARGIN_S
@@ -127,7 +117,7 @@ NO_SPEED = "beats have no speed"
 
 
 def unmeasured_text(trial: Trial) -> str:
-    """In words; empty when every beat that was swum has a speed."""
+    """In words; empty when every executed beat has a speed."""
     known = np.isfinite(trial.beats.speed_m_s[: trial.executed_beats])
     missing = np.flatnonzero(~known)
     if not missing.size:
@@ -220,8 +210,8 @@ def is_good(recorded: RecordedTrial) -> bool:
 
 
 def proposed_decision(recorded: RecordedTrial) -> Decision:
-    """What a careful person would say; the one who is there decides. It follows from the swim's
-    end and its problems, which are in its log and in the journal: asked again later it is the
+    """A careful default; the operator decides. It follows from the trial's
+    end and its problems, which are in its log and in the event log: asked again later it is the
     same."""
     if recorded.outcome.end == _ended(WALL):
         return Decision("discard", "too close to the wall")
@@ -242,8 +232,8 @@ def _ended(fault: int) -> str:
 
 @dataclass(frozen=True)
 class TrialLog:
-    """A swim's raw file, and what is in it and beside it. ``stopped``: why this program stopped it,
-    as the journal has it; None = it did not, or the journal does not know the swim yet."""
+    """A trial's raw file, and what is in it and beside it. ``stopped``: why this program stopped
+    it, as the event log has it; None = it did not, or the event log does not know the trial yet."""
 
     path: Path
     trial: Trial
@@ -273,7 +263,7 @@ def peek_log(fish: Fish, experiment: Experiment, number: int) -> Trial:
 
 
 def drop_peeked(experiment: Experiment, number: int) -> None:
-    """Of a log that is not to be kept, and what the camera may have seen of a swim before it."""
+    """Of a log that is not to be kept, and what the camera may have seen of a trial before it."""
     folder = experiment.folder / ".pulling"
     with contextlib.suppress(OSError):
         (folder / f"{number:04d}.ulg").unlink(missing_ok=True)
@@ -327,7 +317,7 @@ def _straight(trial: Trial, frames: Sequence[Frame]) -> HeadingDrift | None:
 
 
 def outcome_of(trial: Trial) -> TrialOutcome:
-    """Of a swim that nobody here saw: as its log tells it."""
+    """Of a trial that nobody here saw: as its log tells it."""
     beats = trial.beats
     events = [
         BeatEvent(
@@ -398,7 +388,7 @@ class LiveReporter:
 
 @dataclass(frozen=True)
 class TrialSetup:
-    """What a swim is done with. ``guard``: of the caller."""
+    """What a trial is done with. ``guard``: of the caller."""
 
     fish: Fish
     operator: Operator

@@ -63,14 +63,14 @@ def commission_fish(
     operator: Operator,
     camera: Camera | None = None,
     guard: Guard | None = None,
-    wanted: PreflightLimits | None = None,
+    limits: PreflightLimits | None = None,
 ) -> Iterator[CommissionStep]:
-    """Yields each step when it is done. Asks (person.confirm) before the fish swims and before
-    anything is raised; ``wanted``: of the ritual before every swim. Saves what it sets. Uploads the
-    reference. Ends early, with a step that is not done, when one fails that the next ones need.
-    Raises LinkLostError."""
+    """Yields each step when it is done. Asks (operator.confirm) before the fish swims and before
+    anything is raised; ``limits``: of the preflight checks before each trial. Saves what it sets.
+    Uploads the reference. Ends early, with a step that is not done, when one fails that the next
+    ones need. Raises LinkLostError."""
     with camera_of(fish, camera) as used:
-        limits = wanted or PreflightLimits()
+        limits = limits or PreflightLimits()
         yield from _steps(_Session(fish, reference, operator, used, guard, limits))
 
 
@@ -106,14 +106,14 @@ def _taken(name: str, take: Callable[[], CommissionStep]) -> CommissionStep:
 
 @dataclass
 class _Session:
-    """State of one first session. ``straight``: of the last swim that tells."""
+    """State of one first session. ``straight``: of the last trial that tells."""
 
     fish: Fish
     reference: Reference
     operator: Operator
     camera: Camera | None
     guard: Guard | None
-    wanted: PreflightLimits
+    limits: PreflightLimits
     straight: HeadingDrift | None = field(default=None, init=False)
     identified: Identified | None = field(default=None, init=False)
 
@@ -173,7 +173,7 @@ class _Session:
             text = "left out: no IMU and no camera to feel a turn by"
             self._note(f"trim {text}")
             return CommissionStep("trim", False, text)
-        found = find_centre(fish, self.operator, self.camera, self.guard, self.wanted)
+        found = find_centre(fish, self.operator, self.camera, self.guard, self.limits)
         words = f"the tail is straight at {found.centre_us:.0f} +- {found.sigma_us:.0f} us"
         if abs(found.centre_us - found.was_us) <= found.sigma_us:
             return CommissionStep(
@@ -210,8 +210,8 @@ class _Session:
             text = f"Run {run.number}, {run.kind}, up to {run.cruise_rad:.2f} rad: about "
             text += f"{run.travel_m:.2f} m, at worst {run.travel_worst_m:.2f}. {_HANDS}"
             self._ask(text, "Not identified")
-            prepare(self.fish, self.wanted, self.camera, self.operator)
-            countdown(self.fish, self.wanted, self.operator)
+            prepare(self.fish, self.limits, self.camera, self.operator)
+            countdown(self.fish, self.limits, self.operator)
 
         return IdentificationHooks(
             before=before,
@@ -251,7 +251,7 @@ class _Session:
         )
 
     def raise_limit(self) -> CommissionStep:
-        """One step; a swim with it proves it before it is set."""
+        """One step; a trial with it proves it before it is set."""
         found = next_limit_increase(
             self.fish.params.values(), self.reference, self.identified, self.straight
         )
@@ -267,7 +267,7 @@ class _Session:
             self.operator,
             self.camera,
             self.guard,
-            self.wanted,
+            self.limits,
         )
         self.straight = proof.straight or self.straight
         if proof.why_not:

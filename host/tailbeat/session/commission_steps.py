@@ -1,9 +1,7 @@
-"""How far AMP_MAX_RAD may rise, and why no farther. Pure rules.
-
-One short swim with a larger amplitude, before the limit rises to it for good.
+"""How far AMP_MAX_RAD may rise, and the short trial with a larger amplitude before it does.
 
 The model was fitted below the old limit. Beyond it the servo may be too slow, the tail may touch
-something, the fish may roll or turn; a swim shows it while the old limit still holds on the board.
+something, the fish may roll or turn; a trial shows it while the old limit still holds on the board.
 """
 
 from __future__ import annotations
@@ -176,12 +174,12 @@ def try_limit(
     operator: Operator,
     camera: Camera | None = None,
     guard: Guard | None = None,
-    wanted: PreflightLimits | None = None,
+    limits: PreflightLimits | None = None,
 ) -> LimitTrial:
     """Swims up to ``amplitude_rad``; the board has its limit and all it had learned back
-    afterwards, also when it fails. ``wanted``: of the ritual before it; None = none. Raises
-    TailbeatError when the swim ends early."""
-    book = library_of(fish)
+    afterwards, also when it fails. ``limits``: of the preflight checks before it; None = none.
+    Raises TailbeatError when the trial ends early."""
+    book = logbook_of(fish)
 
     def keep(path: Path) -> None:
         if book is not None:
@@ -197,9 +195,9 @@ def try_limit(
         replace(board, params=allowed).prepare(
             "first session", amplitude, predicted, {AMP_MAX: amplitude_rad}
         )
-        if wanted is not None:
-            prepare(fish, wanted, camera, operator)
-            countdown(fish, wanted, operator)
+        if limits is not None:
+            prepare(fish, limits, camera, operator)
+            countdown(fish, limits, operator)
         guarded = GuardedTrial(allowed, predicted, operator.wants_abort, guard)
         outcome = run_trial(fish, camera, operator.tell, guards_of(guarded))
         trial = board.collect(outcome, lambda o: _judge(fish, o), keep)
@@ -222,7 +220,7 @@ def profile(
 
 
 def assess_limit_trial(trial: Trial, identified: Identified) -> LimitTrial:
-    """What the swim says of the amplitude."""
+    """What the trial says of the amplitude."""
     straight = heading_drift(trial)
     part = slope_of(trial, identified.model)
     words = f"proved by a swim: {part:.2f} of the speed foretold"

@@ -1,7 +1,6 @@
-"""Single commands (learn, trial discard) in the experiment the fish is in: what they decide and
-what the board learns is written down as a series writes it, and in the same order.
+"""What is decided on a trial, carried out: event log and trial library first, then the board.
 
-What is decided on a swim, carried out: journal and trial library first, then the board.
+Single commands (learn, trial discard) log in the same order as a series does.
 """
 
 from __future__ import annotations
@@ -191,7 +190,7 @@ class Decisions:
     learn: bool
 
     def decide(self, recorded: RecordedTrial) -> Decision:
-        """As it was decided before, else as the operator says; journalled when this returns. Raises
+        """As it was decided before, else as the operator says; logged when this returns. Raises
         InputError for what cannot be."""
         decision = self.account.decision_on(recorded.file)
         if decision is None:
@@ -230,14 +229,14 @@ class Decisions:
         return DecisionResult(learned)
 
     def write_down(self, report: LearnReport) -> None:
-        """What the board has learned: journalled and told."""
+        """What the board has learned: logged and told."""
         self.account.journal.add("learned", **asdict(report))
         self.operator.tell(report)
         if report.rolled_back:
             self.operator.tell(Notice(_ROLLED_BACK))
 
     def _of_itself(self, recorded: RecordedTrial) -> Decision | None:
-        """Of a swim without a speed that the board does not hold: nobody can bring it any."""
+        """Of a trial without a speed that the board does not hold: nobody can bring it any."""
         number, end = recorded.outcome.number, recorded.outcome.end
         if recorded.measured_beats or self.fish.status().pending_trial == number:
             return None

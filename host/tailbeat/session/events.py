@@ -1,9 +1,8 @@
-"""What a session reports while it goes on: one class per event, ``Event`` is any of them.
+"""What a session reports while it goes on: one class per event, ``Event`` is any of them; and the
+operator who gets them.
 
 The terminal, the page, the film and the event log match on the class. A beat is reported as
 ``BeatEvent``, a learning step as ``LearnReport``, both as the link decodes them.
-
-Whoever is at the tank: a terminal, a page in a browser, a script.
 """
 
 from __future__ import annotations
@@ -174,7 +173,7 @@ class Operator(Protocol):
 
     def wants_abort(self) -> bool:
         """Whether the tail is to stop, or the waiting before the start to end; asked some ten times
-        a second. Stays true until the swim or the waiting has ended."""
+        a second. Stays true until the trial or the waiting has ended."""
 
     def decide(self, recorded: RecordedTrial) -> Decision:
         """What becomes of it; may take as long as it likes, the tail is still."""

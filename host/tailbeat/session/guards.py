@@ -365,7 +365,7 @@ def stop_when(wanted: Callable[[], bool], reason: StopReason) -> Guard:
 
 @dataclass
 class FrameRecorder:
-    """Keeps every frame of the swim; stops nothing."""
+    """Keeps every frame of the trial; stops nothing."""
 
     frames: list[Frame] = field(default_factory=list)
 

@@ -43,10 +43,10 @@ _COASTS_ON = 0.5  # of the drag that is believed: a fish nobody knows may coast 
 class IdentificationHooks:
     """Who sees to an identification. ``before``: told of each run once the board has its
     amplitudes, returns when it may begin, raises to end it all. ``speeds``: (trial, beats, beat_s)
-    to speeds measured after the swim, NaN = not measured, one per beat; None: nobody can give any.
-    ``event``: what happens meanwhile. ``keep``: gets every trial's file. ``note``: told what else a
-    person should know. ``guard``: of the walls; what it stops has told enough once it has swum a
-    little. ``wants_abort``: whether to stop the tail and end it all, asked some ten times a
+    to speeds measured after the trial, NaN = not measured, one per beat; None: nobody can give any.
+    ``event``: what happens meanwhile. ``keep``: gets every trial's file. ``note``: told what else
+    an operator should know. ``guard``: of the walls; what it stops has told enough once it has swum
+    a little. ``wants_abort``: whether to stop the tail and end it all, asked some ten times a
     second."""
 
     before: Callable[[IdentificationRun], None] = lambda run: None

@@ -1,9 +1,5 @@
-"""What the battery allows: told before the board refuses, from how it fell so far.
-
-Whether the board was switched off since it last swam: the hull was open, the ballast may have
-shifted, and nobody has said so.
-
-What the journal of an experiment tells a series that goes on: what was begun, swum, decided.
+"""What an experiment's event log says of a session: trials that were started, recorded, decided on;
+how the battery fell, and whether the board was switched off.
 """
 
 from __future__ import annotations
@@ -32,7 +28,7 @@ _LOOK_BACK = 3  # swims the fall is averaged over: one reading scatters by some 
 
 @dataclass(frozen=True)
 class Drain:
-    """One swim's voltages: ``start_v`` at rest before it, ``end_v`` at its end, ``least_v`` the
+    """One trial's voltages: ``start_v`` at rest before it, ``end_v`` at its end, ``least_v`` the
     least while the servo drew its current."""
 
     start_v: float
@@ -49,7 +45,7 @@ def too_low(now_v: float, params: Mapping[str, float]) -> str | None:
 
 
 def forecast(now_v: float, drains: Sequence[Drain], params: Mapping[str, float]) -> str | None:
-    """What will go wrong in the next swim or the one after it, or None. ``drains``: of the swims
+    """What will go wrong in the next trial or the one after it, or None. ``drains``: of the trials
     on this battery, oldest first."""
     recent = drains[-_LOOK_BACK:]
     if not recent:
@@ -134,7 +130,7 @@ class SessionLog:
         )
 
     def is_begun(self, trial: Trial) -> bool:
-        """Whether a log is of the swim that was begun last: by its number, its reference, and that
+        """Whether a log is of the trial that was begun last: by its number, its reference, and that
         it started later."""
         last = self._last(("begun", "swum", "void"))
         crc = reference_crc(self.experiment)
@@ -237,7 +233,7 @@ class SessionLog:
         return int(last["trial"]) if owes and last is not None else None
 
     def counting(self) -> list[Trial]:
-        """Trials in the order they were swum, without the discarded."""
+        """Trials in the order they were executed, without the discarded."""
         trials, decisions = [], self._decisions()
         for entry in self.journal.entries("swum"):
             path = self.experiment.raw / str(entry.get("file"))
@@ -247,7 +243,7 @@ class SessionLog:
         return trials
 
     def drains(self) -> list[Drain]:
-        """Of the swims since the battery was last changed."""
+        """Of the trials since the battery was last changed."""
         drains: list[Drain] = []
         for entry in self.journal.entries():
             if entry["what"] == "resumed":
@@ -276,7 +272,7 @@ class SessionLog:
 
 
 def _found(ready: Ready | None) -> Entry:
-    """What the ritual found, as the journal keeps it."""
+    """What the preflight checks found, as the event log keeps it."""
     found = None if ready is None else asdict(ready)
     return {key: found and found[key] for key in ("rested_s", "pose", "drift", "travel")}
 

@@ -1,9 +1,7 @@
-"""What the board would learn from the pending trial, computed here: the same float32 numbers.
+"""The next input, computed on the host: a dry run of the board's own law, and the model-based law.
 
-Learning with the model on a connected board: what ``learn --law model`` and the demo do.
-
-The board learns from the trial, too: its iteration, its best input and its rollback go on, and its
-own step stands should the computer fail before the model's amplitudes are uploaded.
+After a model-based step the board learns from the trial, too: its iteration, its best input and its
+rollback go on, and its own step stands should the computer fail before the upload.
 """
 
 from __future__ import annotations
@@ -146,8 +144,8 @@ class ModelStepSetting:
 
 @dataclass(frozen=True)
 class ModelStep:
-    """``foretold_m_s``: 5 %, 50 % and 95 % of max|e| of the last swim, by what was known before it;
-    None without one. ``document``: the proposal's provenance."""
+    """``foretold_m_s``: 5 %, 50 % and 95 % of max|e| of the last trial, by what was known before
+    it; None without one. ``document``: the proposal's provenance."""
 
     proposal: Proposal
     foretold_m_s: tuple[float, float, float] | None

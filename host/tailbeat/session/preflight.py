@@ -99,9 +99,9 @@ def _by_log(fish: Fish, status: BoardStatus, trial: int) -> float:
 
 
 def wait_for_rest(
-    step: PreflightStep, rest_s: float, status: BoardStatus, sight: CameraPose | None
+    step: PreflightStep, rest_s: float, status: BoardStatus, view: CameraPose | None
 ) -> None:
-    """Waits until ``rest_s`` after the last swim's end. ``status``: of now."""
+    """Waits until ``rest_s`` after the last trial's end. ``status``: of now."""
     if rest_s <= 0:
         return
     step.tell("asks the board when it swam last")
@@ -113,61 +113,61 @@ def wait_for_rest(
     while (left_s := rest_s - rested - (step.elapsed_s - asked_s)) > 0:
         step.tell("the water rests", left_s=left_s)
         step.wait()
-        if sight is not None:
-            sight.look(step)
+        if view is not None:
+            view.look(step)
     step.tell("rested", ok=True, left_s=0.0)
 
 
-_TOLD_FROM_S = 2.0  # over less a camera's noise of 1 mm is more than what is looked for
+_REPORT_FROM_S = 2.0  # over less a camera's noise of 1 mm is more than what is looked for
 _BLOCKS = 10
 _FRAMES_MIN = 12
-_FELT_LOOK_S = 0.5
+_IMU_LOOK_S = 0.5
 
 
 def wait_until_still(
-    step: PreflightStep, wanted: PreflightLimits, sight: CameraPose | None, feel: ImuPose | None
+    step: PreflightStep, limits: PreflightLimits, view: CameraPose | None, imu: ImuPose | None
 ) -> Drift | None:
     """Waits until it has been still for ``still_s``. None when nothing can tell, or nobody asked.
     Raises NotReady and what the step and the camera raise."""
-    if wanted.still_s <= 0:
+    if limits.still_s <= 0:
         return None
-    if sight is not None:
-        return _wait_by_camera(step, wanted, sight)
-    if feel is not None:
-        return _wait_by_imu(step, wanted, feel)
+    if view is not None:
+        return _wait_by_camera(step, limits, view)
+    if imu is not None:
+        return _wait_by_imu(step, limits, imu)
     step.notice("nobody knows whether water and fish are still: there is no camera and no IMU")
     return None
 
 
-def _wait_by_camera(step: PreflightStep, wanted: PreflightLimits, sight: CameraPose) -> Drift:
+def _wait_by_camera(step: PreflightStep, limits: PreflightLimits, view: CameraPose) -> Drift:
     while True:
-        sight.look(step)
-        drift = drift_now(sight, wanted.still_s)
+        view.look(step)
+        drift = drift_now(view, limits.still_s)
         covered_s = 0.0 if drift is None else drift.over_s
-        whole = covered_s >= wanted.still_s
-        if drift is not None and whole and _passes(drift, wanted):
+        whole = covered_s >= limits.still_s
+        if drift is not None and whole and _passes(drift, limits):
             step.tell(_words(drift), ok=True)
             return drift
-        words = _how_it_moves(sight, drift, wanted)
+        words = _how_it_moves(view, drift, limits)
         if step.is_late:
-            if not sight.frames:
-                raise step.refuse(words, sight.blind_remedy())
+            if not view.frames:
+                raise step.refuse(words, view.blind_remedy())
             raise step.refuse(f"water and fish do not come to rest: {words}")
-        step.tell(words, left_s=None if whole else wanted.still_s - covered_s)
+        step.tell(words, left_s=None if whole else limits.still_s - covered_s)
         step.wait()
 
 
-def _passes(drift: Drift, wanted: PreflightLimits) -> bool:
-    return drift.speed_m_s + drift.sigma_m_s < wanted.drift_max_m_s
+def _passes(drift: Drift, limits: PreflightLimits) -> bool:
+    return drift.speed_m_s + drift.sigma_m_s < limits.drift_max_m_s
 
 
-def drift_now(sight: CameraPose, still_s: float) -> Drift | None:
+def drift_now(view: CameraPose, still_s: float) -> Drift | None:
     """Over the last ``still_s``, or what of it was seen; None = too few frames. ``over_s`` is
     ``still_s`` only when the fish was seen from before the window's begin on."""
-    frames = sight.last(still_s)
+    frames = view.last(still_s)
     if len(frames) < _FRAMES_MIN:
         return None
-    from_before = sight.frames[0].t_s <= frames[-1].t_s - still_s
+    from_before = view.frames[0].t_s <= frames[-1].t_s - still_s
     over_s = still_s if from_before else frames[-1].t_s - frames[0].t_s
     return drift_of(frames, over_s)
 
@@ -208,35 +208,35 @@ def _words(drift: Drift) -> str:
     return f"{drift.speed_m_s * 1e3:.1f} mm/s over {drift.over_s:.0f} s"
 
 
-def _how_it_moves(sight: CameraPose, drift: Drift | None, wanted: PreflightLimits) -> str:
-    if not sight.frames:
-        return sight.blind_words()
-    if drift is None or drift.over_s < _TOLD_FROM_S:
+def _how_it_moves(view: CameraPose, drift: Drift | None, limits: PreflightLimits) -> str:
+    if not view.frames:
+        return view.blind_words()
+    if drift is None or drift.over_s < _REPORT_FROM_S:
         return "watches whether it drifts"
-    if _passes(drift, wanted):
+    if _passes(drift, limits):
         return f"drifts {drift.speed_m_s * 1e3:.1f} mm/s"
-    unsure = drift.speed_m_s < wanted.drift_max_m_s
+    unsure = drift.speed_m_s < limits.drift_max_m_s
     spread = f" +- {drift.sigma_m_s * 1e3:.1f}" if unsure else ""
-    most = f"must be below {wanted.drift_max_m_s * 1e3:.3g}"
+    most = f"must be below {limits.drift_max_m_s * 1e3:.3g}"
     return f"drifts {drift.speed_m_s * 1e3:.1f}{spread} mm/s, {most}"
 
 
-def _wait_by_imu(step: PreflightStep, wanted: PreflightLimits, feel: ImuPose) -> Drift:
+def _wait_by_imu(step: PreflightStep, limits: PreflightLimits, imu: ImuPose) -> Drift:
     """An IMU feels a push, not a steady drift of the fish with the water."""
     looked_s = -math.inf
     while True:
-        if step.elapsed_s - looked_s >= _FELT_LOOK_S:
+        if step.elapsed_s - looked_s >= _IMU_LOOK_S:
             looked_s = step.elapsed_s
-            still_s = feel.still_s()
-            if still_s >= wanted.still_s:
+            still_s = imu.still_s()
+            if still_s >= limits.still_s:
                 step.tell(f"nothing has moved it for {still_s:.0f} s, by the IMU", ok=True)
                 step.notice("a slow drift cannot be felt by the IMU: look whether it lies still")
-                return Drift("imu", math.nan, math.nan, wanted.still_s)
+                return Drift("imu", math.nan, math.nan, limits.still_s)
             moves = still_s <= 0
             words = "something moves it" if moves else "nothing moves it, by the IMU"
             if step.is_late:
                 raise step.refuse("the fish does not come to rest, by the IMU")
-            step.tell(words, left_s=wanted.still_s - still_s)
+            step.tell(words, left_s=limits.still_s - still_s)
         step.wait()
 
 

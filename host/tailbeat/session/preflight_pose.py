@@ -1,10 +1,4 @@
-"""The fish as its IMU feels it before a swim: where the nose points, whether it lies level, and
-whether something moves it.
-
-Whether the fish lies on the start line with its nose along the tank, and what to do if not.
-
-The fish as the camera sees it before a swim: frames of the last seconds that may be believed.
-"""
+"""Where the fish lies before a trial, as the camera and the IMU show it, and how to correct it."""
 
 from __future__ import annotations
 
@@ -107,42 +101,42 @@ _FRAMES_MIN = 6
 _AGREE_MIN = 0.95  # of the headings: they scatter by less than 18 degrees
 _TURNED_MAX_RAD = math.radians(3.0)
 _LEVEL_DEG = 10.0
-_FELT_WAIT_S = 4.0
+_IMU_WAIT_S = 4.0
 
 
 def wait_for_pose(
-    step: PreflightStep, wanted: PreflightLimits, sight: CameraPose | None, feel: ImuPose | None
+    step: PreflightStep, limits: PreflightLimits, view: CameraPose | None, imu: ImuPose | None
 ) -> Pose | None:
     """Waits until it lies right. None when nothing can tell. Raises NotReady and what the step and
     the camera raise."""
-    if sight is None and feel is None:
+    if view is None and imu is None:
         text = "the start pose is not checked: there is no camera and no IMU"
         step.notice(text)
         return None
     while True:
-        if sight is not None:
-            sight.look(step)
-        pose = pose_now(sight, feel)
-        wrong = _unknown(sight) if pose is None else pose_correction(pose, wanted)
-        if pose is not None and wrong is None and _has_felt(step, feel):
-            _tell_right(step, pose, wanted, feel)
+        if view is not None:
+            view.look(step)
+        pose = pose_now(view, imu)
+        wrong = _unknown(view) if pose is None else pose_correction(pose, limits)
+        if pose is not None and wrong is None and _has_imu_attitude(step, imu):
+            _report_pose(step, pose, limits, imu)
             return pose
         wrong = wrong or "asks the IMU, too"
         if step.is_late:
-            if sight is not None and not sight.frames:
-                raise step.refuse(wrong, sight.blind_remedy())
+            if view is not None and not view.frames:
+                raise step.refuse(wrong, view.blind_remedy())
             raise step.refuse(f"the fish does not lie as it should: {wrong}")
         step.tell(wrong)
         step.wait()
 
 
-def pose_now(sight: CameraPose | None, feel: ImuPose | None) -> Pose | None:
+def pose_now(view: CameraPose | None, imu: ImuPose | None) -> Pose | None:
     """Mean over the last second; None when too little is known."""
-    attitude = feel.attitude() if feel is not None else None
+    attitude = imu.attitude() if imu is not None else None
     yaw_deg = attitude.yaw_deg if attitude is not None else None
-    if sight is None:
+    if view is None:
         return None if yaw_deg is None else Pose("imu", yaw_deg=yaw_deg)
-    frames = sight.last(_OVER_S_POSE)
+    frames = view.last(_OVER_S_POSE)
     if len(frames) < _FRAMES_MIN or frames[-1].t_s - frames[0].t_s < _LEAST_S:
         return None
     heading_rad, agree = mean_angle(frame.heading_rad for frame in frames)
@@ -161,62 +155,62 @@ def _turned_rad(frames: Sequence[Frame]) -> float:
     return abs(math.remainder(second - first, math.tau))
 
 
-def pose_correction(pose: Pose, wanted: PreflightLimits) -> str | None:
+def pose_correction(pose: Pose, limits: PreflightLimits) -> str | None:
     """In words for who stands behind the fish; None when it lies right. Without a camera its yaw is
     compared with that of an earlier start, if there was one."""
     if pose.source == "camera":
         assert pose.heading_rad is not None and pose.y_m is not None
-        wrong = [_turn(pose.heading_rad, wanted), _aside(pose.y_m, wanted)]
-    elif wanted.start_yaw_deg is not None:
+        wrong = [_turn(pose.heading_rad, limits), _aside(pose.y_m, limits)]
+    elif limits.start_yaw_deg is not None:
         assert pose.yaw_deg is not None
-        off_rad = math.radians(wrapped_deg(pose.yaw_deg - wanted.start_yaw_deg))
-        wrong = [_turn(off_rad, wanted)]
+        off_rad = math.radians(wrapped_deg(pose.yaw_deg - limits.start_yaw_deg))
+        wrong = [_turn(off_rad, limits)]
     else:
         wrong = []
     return "; ".join(words for words in wrong if words) or None
 
 
-def _turn(heading_rad: float, wanted: PreflightLimits) -> str | None:
+def _turn(heading_rad: float, limits: PreflightLimits) -> str | None:
     """Headings count clockwise from above."""
-    if abs(heading_rad) <= wanted.heading_max_rad:
+    if abs(heading_rad) <= limits.heading_max_rad:
         return None
     side = "left" if heading_rad > 0 else "right"
     return f"turn the nose {math.degrees(abs(heading_rad)):.0f} degrees to the {side}"
 
 
-def _aside(y_m: float, wanted: PreflightLimits) -> str | None:
-    if abs(y_m) <= wanted.aside_max_m:
+def _aside(y_m: float, limits: PreflightLimits) -> str | None:
+    if abs(y_m) <= limits.aside_max_m:
         return None
     return f"it lies {abs(y_m):.2f} m to the {'right' if y_m > 0 else 'left'} of the line"
 
 
-def _unknown(sight: CameraPose | None) -> str:
-    if sight is None:
+def _unknown(view: CameraPose | None) -> str:
+    if view is None:
         return "the IMU has not told its yaw yet"
-    return "looks where the fish lies" if sight.frames else sight.blind_words()
+    return "looks where the fish lies" if view.frames else view.blind_words()
 
 
-def _has_felt(step: PreflightStep, feel: ImuPose | None) -> bool:
+def _has_imu_attitude(step: PreflightStep, imu: ImuPose | None) -> bool:
     """An IMU that streams is heard a second later than a camera; on a bad radio it may never be."""
-    return feel is None or feel.attitude() is not None or step.elapsed_s > _FELT_WAIT_S
+    return imu is None or imu.attitude() is not None or step.elapsed_s > _IMU_WAIT_S
 
 
-def _tell_right(
-    step: PreflightStep, pose: Pose, wanted: PreflightLimits, feel: ImuPose | None
+def _report_pose(
+    step: PreflightStep, pose: Pose, limits: PreflightLimits, imu: ImuPose | None
 ) -> None:
-    attitude = feel.attitude() if feel is not None else None
+    attitude = imu.attitude() if imu is not None else None
     if attitude is not None:
-        _tell_tilt(step, attitude)
+        _report_tilt(step, attitude)
     if pose.heading_rad is not None and pose.y_m is not None:
         heading_deg = math.degrees(pose.heading_rad)
         step.tell(f"nose {heading_deg:+.0f} degrees, {pose.y_m:+.2f} m from the line", ok=True)
-    elif wanted.start_yaw_deg is not None:
+    elif limits.start_yaw_deg is not None:
         step.tell("the nose points as at the earlier start, by the IMU", ok=True)
     else:
         step.notice("the start pose is not checked: there is no camera and no earlier start")
 
 
-def _tell_tilt(step: PreflightStep, attitude: Attitude) -> None:
+def _report_tilt(step: PreflightStep, attitude: Attitude) -> None:
     for name, angle_deg in (("pitch", attitude.pitch_deg), ("roll", attitude.roll_deg)):
         if abs(angle_deg) > _LEVEL_DEG:
             step.notice(f"the fish does not lie level: {name} {angle_deg:+.0f} degrees")
@@ -236,7 +230,7 @@ _MOVE = (
 class CameraPose:
     """``frames``: believed, oldest first, ``keep_s`` of them and a little more; their time in s of
     board time from some moment on. None is older than the last time the fish was carried (it
-    jumped) or out of sight for longer than BLIND_S. A picture that stands still to the last bit
+    jumped) or out of view for longer than BLIND_S. A picture that stands still to the last bit
     shows no fish: every camera has noise, but one that is simulated.
     """
 

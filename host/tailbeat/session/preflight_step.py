@@ -1,9 +1,5 @@
-"""What the ritual asks for, what it finds, and how it says no.
-
-One step of the ritual while it is waited for: tells how it stands, and when it is given up.
-
-The countdown: armed, the LED blinks, hands out of the water.
-"""
+"""The progress of one preflight check, the limits of the checks, their errors, and the
+countdown."""
 
 from __future__ import annotations
 
@@ -20,7 +16,7 @@ from tailbeat.session.events import Countdown, Notice, Operator, StepProgress
 
 
 class NotReady(TailbeatError):
-    """A swim may not begin; nothing on the board has changed."""
+    """A trial may not begin; nothing on the board has changed."""
 
 
 class BatteryLow(NotReady):
@@ -33,7 +29,7 @@ class GivenUp(NotReady):
 
 @dataclass(frozen=True)
 class PreflightLimits:
-    """What is asked for. Times in s of board time. ``rest_s`` since the last swim's end.
+    """What is asked for. Times in s of board time. ``rest_s`` since the last trial's end.
     ``drift_max_m_s`` over ``still_s``; 0 s = not looked at. ``countdown_s``: 0 to 60.
     ``patience_s``: how long a step may take after the rest. ``start_yaw_deg``: of the IMU at an
     earlier start of the same series; None = not compared."""
@@ -67,8 +63,8 @@ class PreflightStep:
         self.fish, self._remedy = fish, remedy
         self._operator, self._name, self._patience_s = operator, name, patience_s
         self._begin_s = fish.transport.now_s()
-        self._told: tuple[str, bool | None, int | None] | None = None
-        self._told_at_s = -math.inf
+        self._reported: tuple[str, bool | None, int | None] | None = None
+        self._reported_at_s = -math.inf
 
     @property
     def elapsed_s(self) -> float:
@@ -84,10 +80,12 @@ class PreflightStep:
         """How it stands, unless that has just been said."""
         whole_s = None if left_s is None else math.ceil(max(left_s, 0.0))
         now = (text, ok, whole_s)
-        same_second = self._told is not None and now[1:] == self._told[1:]
-        if now == self._told or (same_second and self.elapsed_s - self._told_at_s < _TELL_S):
+        same_second = self._reported is not None and now[1:] == self._reported[1:]
+        if now == self._reported or (
+            same_second and self.elapsed_s - self._reported_at_s < _TELL_S
+        ):
             return
-        self._told, self._told_at_s = now, self.elapsed_s
+        self._reported, self._reported_at_s = now, self.elapsed_s
         self._operator.tell(StepProgress(self._name, text, ok, whole_s))
 
     def notice(self, text: str) -> None:
@@ -96,7 +94,7 @@ class PreflightStep:
 
     def refuse(self, what: str, remedy: str = "", error: type[NotReady] = NotReady) -> NotReady:
         """Reports that the check has failed; the error to raise. ``remedy`` empty: the check's."""
-        self._told = None
+        self._reported = None
         self.tell(what, ok=False)
         return error(what, remedy or self._remedy)
 
@@ -122,12 +120,12 @@ _HEARTBEAT_S = 0.3  # of board time; many of them may be lost before the board d
 _DISARM_TRIES, _DISARM_S = 6, 0.3  # it cannot wait for long: somebody has pressed Ctrl-C
 
 
-def countdown(fish: Fish, wanted: PreflightLimits, operator: Operator) -> None:
+def countdown(fish: Fish, limits: PreflightLimits, operator: Operator) -> None:
     """Arms, lets the fish's LED blink and counts down; hands must be out at 0. Disarms and raises
     GivenUp when the operator wants it, or whatever else ends it. Returns ARMED."""
-    if not 0 <= wanted.countdown_s <= COUNTDOWN_MAX_S:
+    if not 0 <= limits.countdown_s <= COUNTDOWN_MAX_S:
         raise InputError(
-            f"a countdown of {wanted.countdown_s:g} s is none",
+            f"a countdown of {limits.countdown_s:g} s is none",
             f"Give 0 to {COUNTDOWN_MAX_S:.0f} s.",
         )
     heard: list[BoardStatus] = []
@@ -140,9 +138,9 @@ def countdown(fish: Fish, wanted: PreflightLimits, operator: Operator) -> None:
     heartbeat_period_s = fish.link.heartbeat_period_s
     fish.link.heartbeat_period_s = _HEARTBEAT_S
     try:
-        fish.arm(blink_s=wanted.countdown_s)
+        fish.arm(blink_s=limits.countdown_s)
         heard.clear()
-        _count(fish, wanted.countdown_s, operator, heard)
+        _count(fish, limits.countdown_s, operator, heard)
     except Refused:
         raise  # it is not armed; whoever else swims with it goes on
     except BaseException as error:
@@ -156,7 +154,7 @@ def countdown(fish: Fish, wanted: PreflightLimits, operator: Operator) -> None:
 
 def _count(fish: Fish, countdown_s: float, operator: Operator, heard: list[BoardStatus]) -> None:
     begin_s = fish.transport.now_s()
-    told = -1
+    reported = -1
     while True:
         left_s = countdown_s - (fish.transport.now_s() - begin_s) * fish.clock.rate
         whole_s = max(0, math.ceil(left_s - 1e-6))
@@ -164,8 +162,8 @@ def _count(fish: Fish, countdown_s: float, operator: Operator, heard: list[Board
             raise GivenUp("given up in the countdown", "Nothing has swum. Begin again when ready.")
         if whole_s == 0:
             _require_armed(fish.status())
-        if whole_s != told:
-            told = whole_s
+        if whole_s != reported:
+            reported = whole_s
             operator.tell(Countdown(whole_s))
         if whole_s == 0:
             return

@@ -1,6 +1,5 @@
-"""One repeat of the best after the hull was open: it tells how far the fish has shifted.
-
-After the hull was open: the board gets back what it knew and has lost.
+"""After the hull was open: the board gets back what it has lost, and one repeat of the best input
+shows how much the fish has changed.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ from tailbeat.session.preflight_step import GivenUp
 from tailbeat.session.series import Options, Until, run_series
 
 REASON = "battery swap"
-_RESTORED_INPUT = 3  # what made the amplitudes that swim next, memory_input_t
+_RESTORED_INPUT = 3  # what made the amplitudes that trial next, memory_input_t
 _TRIES = 3
 _DISCARDS_MAX = 3
 
@@ -69,7 +68,7 @@ def repeat_best(
     camera: Camera | None = None,
     guard: Guard | None = None,
 ) -> tuple[RecordedTrial, FishChange]:
-    """Swims the best amplitudes once (through the ritual, journalled as a repeat, not learned),
+    """Swims the best amplitudes once (with preflight checks, logged as a repeat, not learned),
     then puts back the amplitudes and the iteration that were to swim next, also when it fails. A
     repeat that an earlier call left on the board is taken as it is. Raises what the series raises,
     GivenUp, and InputError when there is no best, or nothing of it to compare with."""
@@ -119,7 +118,7 @@ def _swum(
     camera: Camera | None,
     guard: Guard | None,
 ) -> RecordedTrial:
-    """One swim that counts, by the machinery of a series."""
+    """One trial that counts, by the machinery of a series."""
     one = replace(options, until=Until(swims=1), learn=True, counts=("repeat",), of_best=True)
     end = run_series(fish, experiment, _Repeating(operator), one, camera, guard)
     if end.why == "swims" and end.rounds:
@@ -130,7 +129,7 @@ def _swum(
 
 @dataclass
 class _Repeating:
-    """The operator, who is asked only whether the swim counts at all."""
+    """The operator, who is asked only whether the trial counts at all."""
 
     operator: Operator
     discards: int = field(default=0, init=False)
@@ -164,7 +163,7 @@ class _Repeating:
 def _left_over(
     fish: Fish, experiment: Experiment, account: SessionLog, operator: Operator
 ) -> RecordedTrial:
-    """The repeat of an earlier call that was broken off after the swim."""
+    """The repeat of an earlier call that was broken off after the trial."""
     number = fish.status().pending_trial
     assert number is not None
     text = f"trial {number} is the repeat of an earlier call; it is not swum again"

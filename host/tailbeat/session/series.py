@@ -1,7 +1,4 @@
-"""When a series of swims ends.
-
-Swims one trial after the other: ritual, swim, keep, decide, learn, until there is enough.
-"""
+"""A series of trials: checks, trial, log, decision, learning, until the end that was asked for."""
 
 from __future__ import annotations
 
@@ -60,8 +57,8 @@ _SWIMS_MAX = 999
 
 @dataclass(frozen=True)
 class Until:
-    """When a series ends: after ``swims`` swims that were kept, when the verdict says that there is
-    nothing more to gain (``converged``), always when the battery is too low to swim on."""
+    """When a series ends: after ``swims`` trials that were kept, when the verdict says that there
+    is nothing more to gain (``converged``), always when the battery is too low to swim on."""
 
     swims: int | None = 1
     converged: bool = False
@@ -88,10 +85,10 @@ BY_CTRL_C = f"stopped by Ctrl-C; {GOES_ON}"
 
 @dataclass(frozen=True)
 class Options:
-    """``wanted`` None: no ritual. ``learn``: kept swims are learned from at once; otherwise the
-    series ends with the first, which waits. ``counts``: what a swim must have become to count for
-    ``until.swims``. ``of_best``: these are the repeats of the best after a battery swap. ``typed``:
-    the command, for the journal."""
+    """``wanted`` None: no preflight checks. ``learn``: kept trials are learned from at once;
+    otherwise the series ends with the first, which waits. ``counts``: what a trial must have become
+    to count for ``until.swims``. ``of_best``: these are the repeats of the best after a battery
+    swap. ``typed``: the command, for the event log."""
 
     until: Until = field(default_factory=Until)
     wanted: PreflightLimits | None = field(default_factory=PreflightLimits)
@@ -104,7 +101,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Round:
-    """One swim and what became of it. ``learned`` None: nothing was learned."""
+    """One trial and what became of it. ``learned`` None: nothing was learned."""
 
     recorded: RecordedTrial
     decision: Decision
@@ -138,10 +135,10 @@ def run_series(
 ) -> SeriesEnd:
     """Swims until ``options.until``. The experiment must be of this fish and of the board's
     reference (``require_same``). Order of every round: a trial that still waits on the board is
-    decided first; ritual; swim; its log pulled into the raw files; the decision, journalled; only
-    then the board learns or discards; its state copied (``experiment.board``). So whatever fails on
-    the way (disk full, link gone, Ctrl-C) the next call goes on where this one stopped and nothing
-    is lost.
+    decided first; preflight checks; swim; its log pulled into the raw files; the decision, logged;
+    only then the board learns or discards; its state copied (``experiment.board``). So whatever
+    fails on the way (disk full, link gone, Ctrl-C) the next call goes on where this one stopped and
+    nothing is lost.
 
     Raises InputError, and touches nothing, when the board holds what is not its own (a trim or a
     repeat that was broken off), has lost what the copy of its state knows, has other parameters
@@ -202,7 +199,7 @@ class _Series:
     rounds: list[Round] = field(default_factory=list)
     counted: int = 0
     verdict: Assessment | None = None
-    yaw_deg: float | None = None  # of the first start, for the ritual to compare with
+    yaw_deg: float | None = None  # of the first start, for the preflight checks to compare with
 
     def end(self, why: str, words: str) -> SeriesEnd:
         write_redo(self.log.experiment)
@@ -235,7 +232,7 @@ class _Series:
         return self._cleared()
 
     def _switched_off(self) -> SeriesEnd | None:
-        """Before each swim: the hull may have been open, and whether the best is repeated first is
+        """Before each trial: the hull may have been open, and whether the best is repeated first is
         the operator's to say. Before there is a best nothing can tell a shift."""
         fish, journal = self.around.fish, self.log.journal
         require_meant(fish, self.log.experiment)
@@ -283,7 +280,7 @@ class _Series:
         return None
 
     def _was_left(self, number: int) -> bool:
-        """Whether the board has the log of the swim that was begun last; one that another program
+        """Whether the board has the log of the trial that was begun last; one that another program
         swam in its place, or before it, is none of this experiment's."""
         if not self._has_log(number):
             return False
@@ -325,7 +322,7 @@ class _Series:
         return self.end("swims", words)
 
     def _battery(self) -> SeriesEnd | None:
-        """Before each swim: whether the battery still allows it."""
+        """Before each trial: whether the battery still allows it."""
         fish = self.around.fish
         now_v = fish.status().battery_v
         params = fish.params.values("BATT_LOW_V", "BATT_CRIT_V")
@@ -336,7 +333,7 @@ class _Series:
         return None
 
     def _round(self) -> SeriesEnd | None:
-        try:  # nobody looks at the camera's pictures while the operator decides
+        try:  # nobody reads the camera's pictures while the operator decides
             with camera_of(self.around.fish, self.around.camera) as camera:
                 around = replace(self.around, camera=camera)
                 swam = self._swim(around, *self._prepare(around))
@@ -360,8 +357,8 @@ class _Series:
         return end
 
     def _prepare(self, around: TrialSetup) -> tuple[Ready | None, GuardedTrial]:
-        """Up to a board that is armed, with what guards the trial; without a
-        ritual only the room is looked at."""
+        """Up to a board that is armed, with what guards the trial; without preflight checks only
+        the room is looked at."""
         fish, wanted, operator = around.fish, self.options.wanted, around.operator
         ready, book = None, library_of(fish)
         if wanted is None:

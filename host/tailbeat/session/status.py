@@ -1,4 +1,4 @@
-"""Where a session stands: the experiment, the fish, what the battery still gives."""
+"""Where a session stands: the experiment, the fish, the battery, and the convergence assessment."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tailbeat.session.log import Drain, SessionLog
 @dataclass(frozen=True)
 class SessionStatus:
     """``battery_start_v``: at rest before the first swim on this battery; ``fall_v``: per swim;
-    ``trials_left``: until it no longer arms. All None before a swim. ``best_trial`` 0 = none.
+    ``trials_left``: until it no longer arms. All None before a trial. ``best_trial`` 0 = none.
     ``problem``: why there is no verdict."""
 
     experiment: Path

@@ -180,8 +180,8 @@ def _next(fish: Fish, book: TrialLibrary | None) -> _Next:
 
 
 def last_measured(fish: Fish, book: Logbook | None) -> Trial | None:
-    """The trial the board learned from last, else the last of the logbook that counts, is of no
-    identification and has speeds. One that the logbook lacks is fetched, once."""
+    """The trial the board learned from last, else the last of the trial library that counts, is of
+    no identification and has speeds. One that the trial library lacks is fetched, once."""
     number = fish.status().last_learned_trial
     counting = [one.trial for one in book.kept()[0] if not one.mark] if book is not None else []
     measured = [trial for trial in counting if np.isfinite(trial.beats.speed_m_s).any()]

@@ -42,7 +42,7 @@ _STALL_S = 60.0  # of board time without a new beat or state; no beat and no set
 _RETRY_S = 0.5
 _REJECTED_MAX = 6  # in one attempt; a board sends two a second, a stray one proves nothing
 _HEARTBEAT_S = 0.3  # of board time; many of them may be lost before the board stops the tail
-_REST_WAIT_S = 30.0  # of board time: the board waits so long for the fish to rest after the swim
+_REST_WAIT_S = 30.0  # of board time: the board waits so long for the fish to rest after the trial
 _STILL_WAIT_S = 60.0  # of board time, for somebody to hold the fish still before the start
 
 

@@ -1,10 +1,8 @@
-"""What the camera saw of a swim: on disk as soon as the swim has ended, in the raw files once its
-log is there.
+"""The camera of one trial: its speeds go to the board, its frames to the guard, its positions into
+the raw files.
 
-The log alone knows when the swim began, so the positions wait in board time beside the log that is
-being pulled; a program that ends in between loses none.
-
-The camera of one trial: its speeds go to the board, its frames to the guard.
+Only the log tells when the trial began. So the positions wait, in board time, beside the log that
+is being pulled; a program that ends in between loses none.
 """
 
 from __future__ import annotations
@@ -40,7 +38,7 @@ if TYPE_CHECKING:
 
 
 HEADER = ("t_s", "x_m", "y_m", "heading_rad")
-_BEFORE_S = 30.0  # frames so long before a swim's start may still belong to it
+_BEFORE_S = 30.0  # frames so long before a trial's start may still belong to it
 _AFTER_S = 120.0
 
 
@@ -59,7 +57,7 @@ class PositionStore:
         write_whole(self.path, as_csv(rows, 0.0), MAKE_ROOM)
 
     def take(self, trial: Trial) -> list[Frame]:
-        """Those of this very swim, time from its start; none when they are of another one that had
+        """Those of this very trial, time from its start; none when they are of another one that had
         the same number (a board whose storage was made anew)."""
         start_s = trial.start_us * 1e-6
         end_s = start_s + trial.executed_beats * trial.beat_s
@@ -109,7 +107,7 @@ _NO_COVARIANCE = (math.nan,) * 8
 
 
 class TrialCamera:
-    """Once the swim has begun nothing of the camera's or the guard's raises here, only a broken
+    """Once the trial has begun nothing of the camera's or the guard's raises here, only a broken
     link: a tail that beats needs its loop.
 
     A camera that is gone is told as a warning; the trial goes on without it if ``dispensable``
@@ -117,7 +115,7 @@ class TrialCamera:
     a camera that was moved) aborts, and is kept in ``failure`` for when the board has stopped.
     ``consult(what)`` asks the guard, with every Frame, and with Unseen when there is none;
     ``abort()`` wants the tail to stop. A picture that stands still shows no fish.
-    ``direction_rad``: of the swim in the tank's frame; speeds are those along it.
+    ``direction_rad``: of the trial in the tank's frame; speeds are those along it.
     """
 
     def __init__(
@@ -156,7 +154,7 @@ class TrialCamera:
             self._consult(TrackReset())
 
     def hear(self, beat: BeatEvent) -> None:
-        """A beat that was swum."""
+        """An executed beat."""
         if abs(beat.amplitude_rad) >= _SURE_RAD:
             self._repeats.must_move()
 
@@ -181,7 +179,7 @@ class TrialCamera:
             self._fish.link.send(vision_message(board_s, sample))
 
     def _way_m(self, frame: Frame) -> float:
-        """Along the swim. A camera that tells no y is right for a swim along x."""
+        """Along the trial. A camera that tells no y is right for a trial along x."""
         across = self._along[1]
         return frame.x_m * self._along[0] + frame.y_m * across if across else frame.x_m
 
@@ -204,7 +202,7 @@ class TrialCamera:
 
     @contextmanager
     def _kept(self) -> Iterator[None]:
-        """What is raised inside ends the swim, and comes out after it."""
+        """What is raised inside ends the trial, and comes out after it."""
         try:
             yield
         except LinkLostError:

@@ -1,4 +1,4 @@
-"""Finds the servo pulse with the tail straight, from how the fish turns over two short swims."""
+"""Finds the servo pulse with the tail straight, from how the fish turns over two short trials."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import board_time_s, camera_of
 
 CENTRE = "SERVO_CENTRE_US"
-OFFSET_RAD = 0.06  # to either side: turns a fish by some 25 degrees in such a swim, no more
+OFFSET_RAD = 0.06  # to either side: turns a fish by some 25 degrees in such a trial, no more
 SHOWN_M = 2.2  # the way of the thesis's reference, for which a turn is told in degrees
 
 _AMPLITUDE_MAX_RAD = 0.5  # enough for a brisk swim of any fish
@@ -63,8 +63,9 @@ class TrimTrial:
 
 @dataclass(frozen=True)
 class Trim:
-    """``centre_us``: where it would swim straight, by the line through the swims; with its standard
-    deviation. ``source``: of the turns, ``imu`` or ``camera``. ``was_us``: what was set."""
+    """``centre_us``: where it would swim straight, by the line through the trials; with its
+    standard deviation. ``source``: of the turns, ``imu`` or ``camera``. ``was_us``: what was
+    set."""
 
     was_us: float
     centre_us: float
@@ -182,11 +183,11 @@ def find_centre(
     operator: Operator,
     camera: Camera | None = None,
     guard: Guard | None = None,
-    wanted: PreflightLimits | None = None,
+    limits: PreflightLimits | None = None,
 ) -> Trim:
     """Swims twice, the tail centred a little to either side of what is set, and puts back what the
-    board had learned, its reference and its centre. ``wanted``: of the ritual before each swim;
-    None = only the operator is asked. Sets nothing: see apply.
+    board had learned, its reference and its centre. ``limits``: of the preflight checks before each
+    trial; None = only the operator is asked. Sets nothing: see apply.
 
     Raises InputError when the turns do not tell a centre (none was felt, the two are alike, or the
     centre would lie beyond the servo's range), GivenUp when the operator wants no more."""
@@ -198,7 +199,7 @@ def find_centre(
         board = stack.enter_context(
             preserved(fish, preserve_folder(book), notice_to(operator), "trim", (CENTRE,))
         )
-        swimmer = _TrimRunner(board, operator, camera, guard, wanted, book)
+        swimmer = _TrimRunner(board, operator, camera, guard, limits, book)
         planned = plan(belief, board.params)
         was_us = board.params[CENTRE]
         offset_us = OFFSET_RAD * board.params["SERVO_US_RAD"]
@@ -230,7 +231,7 @@ def _belief(fish: Fish, book: TrialLibrary | None) -> TravelModel:
 
 @dataclass(frozen=True)
 class _Log:
-    """A swim that was swum: its file, and the frames with their time from its begin."""
+    """A trial that was swum: its file, and the frames with their time from its begin."""
 
     centre_us: float
     trial: Trial
@@ -243,8 +244,8 @@ class _TrimRunner:
     operator: Operator
     camera: Camera | None
     guard: Guard | None
-    wanted: PreflightLimits | None
-    book: TrialLibrary | None
+    limits: PreflightLimits | None
+    book: Logbook | None
 
     def swim(self, number: int, centre_us: float, planned: TrimPlan) -> _Log:
         """Asks, swims, keeps."""
@@ -270,14 +271,14 @@ class _TrimRunner:
         self.operator.tell(StepProgress(f"trim {number}", text, ok=True))
         if not self.operator.confirm("Is the fish at its start, free on both sides? Swim?"):
             raise GivenUp("the trim was not wanted", _NOTHING)
-        if self.wanted is not None:
-            prepare(self.board.fish, self.wanted, self.camera, self.operator)
-            countdown(self.board.fish, self.wanted, self.operator)
+        if self.limits is not None:
+            prepare(self.board.fish, self.limits, self.camera, self.operator)
+            countdown(self.board.fish, self.limits, self.operator)
         else:
             self._wait_until_still()
 
     def _wait_until_still(self) -> None:
-        """The IMU's zero is as good as the rest before the swim is long. Without an IMU, or if the
+        """The IMU's zero is as good as the rest before the trial is long. Without an IMU, or if the
         fish does not come to rest, a camera has to do."""
         fish, left_s = self.board.fish, _PATIENCE_S
         if fish.imu_verdict().state != "streaming":
