@@ -134,6 +134,40 @@ def test_a_figure(extended: Path, tmp_path: Path) -> None:
     assert "Measured beats of every trial, 1 experiments." in page
 
 
+def test_a_preflight_check(extended: Path) -> None:
+    code = (
+        "from tailbeat import Fish\n"
+        "from tailbeat.session.preflight import CHECKS, Preflight\n"
+        "from tailbeat.session.preflight_step import NotReady, PreflightLimits\n"
+        "(check,) = [one for one in CHECKS if one.name == 'tank']\n"
+        "class Operator:\n"
+        "    tell = staticmethod(lambda event: print(event.step, event.text, event.ok))\n"
+        "with Fish.connect('sim:tank') as fish:\n"
+        "    at = Preflight(fish, PreflightLimits(), None, Operator())\n"
+        "    check.function(at, at.step(check))\n"
+        "    fish.params.set('TANK_LEN_M', 0.0)\n"
+        "    try:\n"
+        "        check.function(at, at.step(check))\n"
+        "    except NotReady as error:\n"
+        "        print(error.remedy)\n"
+    )
+    remedy = "Set TANK_LEN_M to the length of the tank in m, then begin again."
+    said = ["tank the length of the tank is set True", "tank TANK_LEN_M is 0 False", remedy]
+    assert python(extended, code).splitlines() == said
+
+
+def test_a_guard(extended: Path) -> None:
+    code = (
+        "from tailbeat.link.messages import BeatEvent\n"
+        "from tailbeat.session.guards import GuardedTrial, guards_of\n"
+        "params = dict(TANK_LEN_M=0, FISH_LEN_M=0.36, MDL_KAPPA=10, SPD_LATE_S=1, SPD_GAP_S=1)\n"
+        "guard = guards_of(GuardedTrial(params, []))\n"
+        "for speed in (0.1, 0.4):\n"
+        "    print(guard(BeatEvent(1, 0, 0.3, 0.1, speed, 0.01, 9, False, False)))\n"
+    )
+    assert python(extended, code) == "None\nfaster than 0.3 m/s\n"
+
+
 def test_a_command(extended: Path) -> None:
     said = json.loads(run(extended, "reference", "distance", "thesis", "--json"))
     assert said["distance_m"] == pytest.approx(2.20, abs=0.01)

@@ -366,7 +366,7 @@ def check_stillness(at: Preflight, step: PreflightStep) -> None:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True)  # one row of CHECKS
 class Check:
     """One preflight check. ``function`` raises NotReady (``step.refuse``) when the trial may not
     begin; ``remedy``: what to do then, unless the function gives another. ``is_waiting``: it ends

@@ -643,8 +643,8 @@ def test_ctrl_c_at_any_moment(fresh: Callable[[], BadDay], most: int) -> None:
     ("where", "after"),
     [
         ("tailbeat.session.series.countdown", True),  # armed
-        ("tailbeat.session.trial._say_start", False),
-        ("tailbeat.session.trial._say_start", True),  # it swims, and nobody knows
+        ("tailbeat.session.trial._command_start", False),
+        ("tailbeat.session.trial._command_start", True),  # it swims, and nobody knows
         ("tailbeat.session.trial._step", False),
         ("tailbeat.session.decide.Decisions.decide", False),  # swum, and nobody has decided
     ],

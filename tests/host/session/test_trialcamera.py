@@ -7,7 +7,7 @@ from typing import Any, cast
 import pytest
 
 from tailbeat.core.frames import CameraGone
-from tailbeat.session.trial import _look_afresh, _Run
+from tailbeat.session.trial import _reset_track, _Run
 from tailbeat.session.trial_camera import TrialCamera
 
 
@@ -29,6 +29,6 @@ def test_a_camera_that_is_lost_ends_a_trial_only_before_its_first_start() -> Non
     camera = LostCamera()
     run = _Run(cast(Any, None), lambda event: None, None, 0.0, camera=cast(TrialCamera, camera))
     with pytest.raises(CameraGone):
-        _look_afresh(run, began=False)
-    _look_afresh(run, began=True)
+        _reset_track(run, began=False)
+    _reset_track(run, began=True)
     assert camera.asked == ["begin", "look_afresh"]
