@@ -29,6 +29,7 @@ from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import SIMULATED_FISH, BeatEvent, BoardStatus, TrialOutcome
 from tailbeat.session.events import Event, LiveValues, Operator, TrialStopped
 from tailbeat.session.guards import FrameRecorder, Guard, GuardedTrial, guards_of
+from tailbeat.session.log import SessionLog
 from tailbeat.session.outcome import BY_HAND, Decision, Ready, RecordedTrial, StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import as_csv, position_store
@@ -186,20 +187,16 @@ def _problems(
     if outcome.end != "complete":
         by = f" ({stopped})" if stopped else ""
         problems.append(f"{_NOT_COMPLETE} {outcome.end}{by}")
-    problems += _unmeasured(trial, measured)
+    if measured == 0:
+        problems.append("no beat has a speed: there is nothing to learn from")
+    elif words := unmeasured_text(trial):
+        problems.append(words)
     if log.straight is not None and log.straight.crooked:
         off_deg = math.degrees(log.straight.worst_yaw_rad)
         problems.append(f"not straight: {off_deg:+.0f} degrees off ({log.straight.source})")
     if (bump := disturbance_of(trial_speeds(trial))) is not None:
         problems.append(bump.words())
     return problems + list(trial.problems)
-
-
-def _unmeasured(trial: Trial, measured: int) -> list[str]:
-    if measured == 0:
-        return ["no beat has a speed: there is nothing to learn from"]
-    words = unmeasured_text(trial)
-    return [words] if words else []
 
 
 def is_good(recorded: RecordedTrial) -> bool:
@@ -257,9 +254,13 @@ def trial_is_safe(number: int, experiment: Experiment) -> Iterator[None]:
 def peek_log(fish: Fish, experiment: Experiment, number: int) -> Trial:
     """Pulls the log and keeps nothing. Raises InputError (disk full)."""
     with trial_is_safe(number, experiment):
-        folder = experiment.folder / ".pulling"
-        folder.mkdir(exist_ok=True)
-        return read_trial(fish.pull_trial(number, folder))
+        return read_trial(_pull(fish, experiment, number))
+
+
+def _pull(fish: Fish, experiment: Experiment, number: int) -> Path:
+    folder = experiment.folder / ".pulling"
+    folder.mkdir(exist_ok=True)
+    return fish.pull_trial(number, folder)
 
 
 def drop_peeked(experiment: Experiment, number: int) -> None:
@@ -275,9 +276,7 @@ def keep_log(fish: Fish, experiment: Experiment, number: int) -> TrialLog:
     """Pulls the log (an interrupted pull goes on), and keeps it and the positions of the camera.
     Raises InputError (disk full)."""
     with trial_is_safe(number, experiment):
-        folder = experiment.folder / ".pulling"
-        folder.mkdir(exist_ok=True)
-        pulled = fish.pull_trial(number, folder)
+        pulled = _pull(fish, experiment, number)
         kept = experiment.keep_trial(pulled)
         trial = read_trial(kept)
         stash = position_store(experiment, number)
@@ -287,8 +286,16 @@ def keep_log(fish: Fish, experiment: Experiment, number: int) -> TrialLog:
         for path in (pulled, stash.path):
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # the beginning of another trial may lie there
-            folder.rmdir()
+            pulled.parent.rmdir()
     return TrialLog(kept, trial, _straight(trial, frames), _stopped(experiment, kept))
+
+
+def recover_trial(fish: Fish, log: SessionLog, number: int) -> RecordedTrial:
+    """The record of a trial that nobody here saw end; its log is saved. Raises InputError."""
+    found = keep_log(fish, log.experiment, number)
+    recorded = record_of(outcome_of(found.trial), found, None)
+    log.recorded(recorded)
+    return recorded
 
 
 def _stopped(experiment: Experiment, kept: Path) -> StopReason | None:

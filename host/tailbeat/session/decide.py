@@ -21,9 +21,7 @@ from tailbeat.link.messages import BoardStatus, LearnReport
 from tailbeat.session.collect import (
     STOPPED,
     dangerous,
-    keep_log,
-    outcome_of,
-    record_of,
+    recover_trial,
     settled,
     stop_words,
 )
@@ -72,9 +70,7 @@ def log_decision(
     None when it swims for none. Raises InputError (disk full)."""
     if (account := _account(fish)) is None:
         return None
-    log = keep_log(fish, account.experiment, number)
-    recorded = record_of(outcome_of(log.trial), log, None)
-    account.recorded(recorded)
+    recorded = recover_trial(fish, account, number)
     before = account.decision_on(recorded.file)
     if kind == "keep" and before is not None and before.kind == kind:
         return LoggedDecision(account, recorded, added=False)  # as trial run --no-learn has it
@@ -147,7 +143,7 @@ def log_state(fish: Fish) -> None:
 
 def _account(fish: Fish) -> SessionLog | None:
     experiment = swims_for(fish)
-    return None if experiment is None else SessionLog(experiment, experiment.journal)
+    return None if experiment is None else SessionLog(experiment)
 
 
 def _owing(fish: Fish) -> tuple[SessionLog, int] | None:

@@ -52,6 +52,30 @@ def stopping_m(speed_m_s: float, kappa_per_m: float) -> float:
     return STOP_S * max(speed_m_s, 0.0) + coast_m(speed_m_s, kappa_per_m)
 
 
+class JumpFilter:
+    """A lone frame that shows the fish elsewhere is a wrong detection; three that agree are not.
+    ``is_near``: whether the fish can have come from one frame to the next."""
+
+    def __init__(self, is_near: Callable[[Frame, Frame], bool]) -> None:
+        self._is_near = is_near
+        self._doubted: list[Frame] = []
+
+    def accepted(self, last: Frame | None, frame: Frame) -> list[Frame]:
+        """What follows ``last``: the frame; nothing while it is doubted; or all frames of a jump,
+        which replace what was seen before."""
+        doubted = self._doubted
+        if last is None or self._is_near(last, frame):
+            doubted.clear()
+            return [frame]
+        if doubted and not self._is_near(doubted[-1], frame):
+            doubted.clear()
+        doubted.append(frame)
+        if len(doubted) < _AGREEING:
+            return []
+        self._doubted = []
+        return doubted
+
+
 class WallGuard:
     """A guard for run_trial: sees frames, gives a reason to abort.
 
@@ -92,7 +116,7 @@ class WallGuard:
 
     def _begin(self) -> None:
         self._seen: deque[Frame] = deque()
-        self._doubted: list[Frame] = []
+        self._jumps = JumpFilter(self._within_reach)
         self._velocity = np.zeros(2)
         self._reference_m_s = 0.0  # of the last beat
         self._since_s = math.nan  # the first moment there is word of
@@ -130,16 +154,12 @@ class WallGuard:
         seen = self._seen
         if seen and frame.t_s <= seen[-1].t_s:
             return False
-        if seen and not self._within_reach(seen[-1], frame):
-            if self._doubted and not self._within_reach(self._doubted[-1], frame):
-                self._doubted.clear()
-            self._doubted.append(frame)
-            if len(self._doubted) < _AGREEING:
-                return False
+        accepted = self._jumps.accepted(seen[-1] if seen else None, frame)
+        if not accepted:
+            return False
+        if len(accepted) > 1:
             seen.clear()
-            seen.extend(self._doubted[:-1])
-        self._doubted.clear()
-        seen.append(frame)
+        seen.extend(accepted)
         while frame.t_s - seen[0].t_s > self._window_s * 1.001:
             seen.popleft()
         return True

@@ -113,7 +113,11 @@ class SessionLog:
     again, and a number alone would mistake one trial's decision for another's."""
 
     experiment: Experiment
-    journal: Journal
+
+    @property
+    def journal(self) -> Journal:
+        """The event log of the experiment."""
+        return self.experiment.journal
 
     def begun(
         self, trial: int, iteration: int, ready: Ready | None, battery_v: float, board_s: float

@@ -13,6 +13,7 @@ from tailbeat.core.faults import IMU_STARTING
 from tailbeat.core.frames import Camera, CameraGone, Frame
 from tailbeat.link.mavlink import Message
 from tailbeat.sensors.camera.tracking.tracker import RepeatFilter
+from tailbeat.session.guards import JumpFilter
 from tailbeat.session.outcome import Pose
 from tailbeat.session.preflight_step import PreflightLimits, PreflightStep
 
@@ -218,7 +219,6 @@ def _report_tilt(step: PreflightStep, attitude: Attitude) -> None:
 
 BLIND_S = 1.0  # without a frame that shows the fish, after which it counts as not seen
 _JUMP_M = 0.05  # from one frame to the next; no water carries a fish so fast
-_AGREEING = 3  # frames in a row make a jump true: the fish was carried
 _KEPT_MORE_S = 2.0
 _LOOK = "Look at the camera, the light and the marker on the fish, then begin again."
 _MOVE = (
@@ -239,7 +239,7 @@ class CameraPose:
         self._fish, self._camera = fish, camera
         self._keep_s = keep_s + _KEPT_MORE_S
         self._repeats = RepeatFilter(camera)
-        self._doubted: list[Frame] = []
+        self._jumps = JumpFilter(_is_near)
         self._seen_at_s = fish.transport.now_s()
         camera.frames()  # what it saw before does not count
 
@@ -290,23 +290,17 @@ class CameraPose:
         before = self.frames[-1] if self.frames else None
         if before is not None and frame.t_s <= before.t_s:
             return
-        if before is not None and _apart_m(before, frame) > _JUMP_M:
-            if self._doubted and _apart_m(self._doubted[-1], frame) > _JUMP_M:
-                self._doubted.clear()
-            self._doubted.append(frame)
-            if len(self._doubted) < _AGREEING:
-                return
+        accepted = self._jumps.accepted(before, frame)
+        if not accepted:
+            return
+        late = before is not None and frame.t_s - before.t_s > BLIND_S
+        if late or len(accepted) > 1:
             self.frames.clear()
-            self.frames.extend(self._doubted)
-        else:
-            if before is not None and frame.t_s - before.t_s > BLIND_S:
-                self.frames.clear()
-            self.frames.append(frame)
-        self._doubted.clear()
+        self.frames.extend(accepted)
         self._seen_at_s = self._fish.transport.now_s()
         while self.frames[-1].t_s - self.frames[0].t_s > self._keep_s:
             self.frames.popleft()
 
 
-def _apart_m(one: Frame, other: Frame) -> float:
-    return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m)
+def _is_near(one: Frame, other: Frame) -> bool:
+    return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m) <= _JUMP_M

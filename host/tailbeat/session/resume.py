@@ -27,11 +27,9 @@ from tailbeat.link.messages import BoardStatus
 from tailbeat.session.change import FishChange, change_of, require_best
 from tailbeat.session.collect import (
     STOPPED,
-    keep_log,
     make_safe,
-    outcome_of,
     proposed_decision,
-    record_of,
+    recover_trial,
     settled,
 )
 from tailbeat.session.events import Event, Notice, Operator, TrialRecorded
@@ -72,7 +70,7 @@ def repeat_best(
     then puts back the amplitudes and the iteration that were to swim next, also when it fails. A
     repeat that an earlier call left on the board is taken as it is. Raises what the series raises,
     GivenUp, and InputError when there is no best, or nothing of it to compare with."""
-    account = SessionLog(experiment, experiment.journal)
+    account = SessionLog(experiment)
     before = account.counting()
     held = held_before(experiment)
     status = idle(fish)
@@ -168,9 +166,7 @@ def _left_over(
     assert number is not None
     text = f"trial {number} is the repeat of an earlier call; it is not swum again"
     operator.tell(Notice(text))
-    log = keep_log(fish, experiment, number)
-    recorded = record_of(outcome_of(log.trial), log, None)
-    account.recorded(recorded)
+    recorded = recover_trial(fish, account, number)
     operator.tell(TrialRecorded(recorded))
     decision = account.decision_on(recorded.file)
     if decision is None:

@@ -25,9 +25,9 @@ from tailbeat.session.collect import (
     execute,
     keep_log,
     make_safe,
-    outcome_of,
     peek_log,
     record_of,
+    recover_trial,
     require_still,
     settled,
     stop_words,
@@ -159,7 +159,7 @@ def run_series(
         if options.typed:
             experiment.journal.add("typed", command=options.typed)
         around = TrialSetup(fish, operator, camera, guard, options.reconnect_s)
-        log = SessionLog(experiment, experiment.journal)
+        log = SessionLog(experiment)
         series = _Series(around, log, options, Decisions(fish, operator, log, options.learn))
         return _run_safely(series, fish)
 
@@ -248,9 +248,8 @@ class _Series:
 
     def _finish_old(self, number: int) -> SeriesEnd | None:
         fish = self.around.fish
-        log = keep_log(fish, self.log.experiment, number)
-        recorded = record_of(outcome_of(log.trial), log, None)
-        self._take(recorded)
+        recorded = recover_trial(fish, self.log, number)
+        self.around.operator.tell(TrialRecorded(recorded))
         status = fish.status()
         if recorded.measured_beats and number not in (
             status.pending_trial,
@@ -413,12 +412,9 @@ class _Series:
             words = f"trial {number} ended before its first beat ({stopped or swam.outcome.end})"
             return self.end("interrupted" if stopped == BY_HAND else "stopped", words)
         recorded = record_of(swam.outcome, keep_log(fish, experiment, number), ready, stopped)
-        self._take(recorded)
-        return recorded, stopped == BY_HAND
-
-    def _take(self, recorded: RecordedTrial) -> None:
         self.log.recorded(recorded)
         self.around.operator.tell(TrialRecorded(recorded))
+        return recorded, stopped == BY_HAND
 
     def _settle(
         self, recorded: RecordedTrial, decision: Decision, counts: bool

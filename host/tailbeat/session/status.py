@@ -47,7 +47,7 @@ class SessionStatus:
 
 def status_of(fish: Fish, experiment: Experiment) -> SessionStatus:
     """Asks the board and reads the experiment; changes nothing."""
-    account = SessionLog(experiment, experiment.journal)
+    account = SessionLog(experiment)
     info, trials = fish.info(), account.counting()
     status = info.status
     rolled_back = _has_rolled_back(experiment)
@@ -175,7 +175,7 @@ def advice(fish: Fish, experiment: Experiment) -> list[str]:
     if reference is None:
         return []
     params = fish.params.values()
-    trials = SessionLog(experiment, experiment.journal).counting()
+    trials = SessionLog(experiment).counting()
     if trials and trials[-1].params.get("AMP_MAX_RAD") != params["AMP_MAX_RAD"]:
         return [f"AMP_MAX_RAD stays {params['AMP_MAX_RAD']:.2f}: no trial was swum with it yet"]
     straight = heading_drift(trials[-1]) if trials else None

@@ -115,11 +115,6 @@ def of_trials(trials: Iterable[Trial], where: str, crc: int | None = None) -> Le
     )
 
 
-def of_file(path: Path) -> LearnedInput:
-    """A trial's file. Raises InputError."""
-    return of_trials([read_trial(path)], path.name)
-
-
 def of_folder(folder: Path) -> LearnedInput:
     """An experiment, a folder with trial files, or a copy of a board. Raises InputError."""
     if (folder / "board.json").is_file():
@@ -279,7 +274,7 @@ def _learned(
     if path.is_dir():
         return of_folder(path)
     if path.suffix == ".ulg":
-        return of_file(path)
+        return of_trials([read_trial(path)], path.name)
     return _along(fish, like, state, book, experiments)
 
 

@@ -277,7 +277,7 @@ def test_a_countdown_given_up_adopts_no_other_swim(
 def test_a_swim_from_before_it_was_begun(says: Says) -> None:
     assert says(*KEEP)[0] == 0
     (trial,) = experiment().trials()
-    account = SessionLog(experiment(), experiment().journal)
+    account = SessionLog(experiment())
     for board_s, is_it in ((trial.start_us * 1e-6 - 3, True), (trial.start_us * 1e-6 + 3, False)):
         account.begun(trial.number, 1, None, 8.0, board_s)
         assert account.is_begun(trial) == is_it
@@ -339,7 +339,7 @@ def test_a_decision_that_came_too_late(board: SimBoard, act: str, answer: str, w
         with pytest.raises(TailbeatError, match=words):
             run_series(fish, made, operator, ONCE)
     assert [one["trial"] for one in journal("withdrawn")] == [1]
-    account = SessionLog(made, made.journal)
+    account = SessionLog(made)
     assert account.decision_on(made.raw / "0001.ulg") is None
 
 
@@ -418,7 +418,7 @@ def test_the_battery_sags_while_it_rests(
 
 def test_the_first_yaw_since_the_board_was_switched_on(says: Says) -> None:
     assert says(*KEEP)[0] == 0
-    account = SessionLog(experiment(), experiment().journal)
+    account = SessionLog(experiment())
     now = datetime.now().astimezone()
     found = account.first_yaw_deg(now - timedelta(hours=1))
     assert found == journal("begun")[0]["pose"]["yaw_deg"] and found is not None

@@ -82,7 +82,7 @@ def test_what_learn_learns_is_in_the_experiment(fish: Fish, experiment: Experime
     assert [(row.decision, row.learned) for row in analysis.rows] == [("keep", True)] * 2
     held = held_state(experiment)
     assert held is not None and held.learned == fish.learned_record()
-    assert SessionLog(experiment, experiment.journal).open_trial() is None
+    assert SessionLog(experiment).open_trial() is None
 
 
 def test_what_is_dropped_without_a_word_is_in_it_too(fish: Fish, experiment: Experiment) -> None:
@@ -112,7 +112,7 @@ def test_the_best_brought_back_is_in_the_experiment(fish: Fish, experiment: Expe
 def test_what_was_kept_to_be_learned_later_is_decided_once(
     fish: Fish, experiment: Experiment
 ) -> None:
-    account = SessionLog(experiment, experiment.journal)
+    account = SessionLog(experiment)
     log = keep_log(fish, experiment, swims(fish))
     recorded = record_of(outcome_of(log.trial), log, None)
     account.recorded(recorded)
@@ -212,7 +212,7 @@ def test_what_the_board_refuses_is_withdrawn(
         monkeypatch.setattr(Fish, name, refuses)
     assert isinstance(types(*words).exception, Refused)
     assert whats(experiment) == ["swum", "decided", "withdrawn"]
-    account = SessionLog(experiment, experiment.journal)
+    account = SessionLog(experiment)
     assert account.decision_on(experiment.raw / f"{number:04d}.ulg") is None
 
 
@@ -242,7 +242,7 @@ def test_who_stopped_it_is_known_after_a_restart(
     number = swims(fish, until_beat=1)
     log = keep_log(fish, experiment, number)
     at_once = record_of(outcome_of(log.trial), log, None, stopped)
-    SessionLog(experiment, experiment.journal).recorded(at_once)
+    SessionLog(experiment).recorded(at_once)
     if written == "by an older version":
         path = experiment.journal.path
         path.write_text(re.sub(r', "stopped": \{[^}]*\}', "", path.read_text()))

@@ -612,7 +612,7 @@ def test_the_laptop_dies_after_the_decision(
     swapped.restore_best()
     run_trial(swapped)
     log = keep_log(swapped, experiment, 5)
-    account = SessionLog(experiment, experiment.journal)
+    account = SessionLog(experiment)
     recorded = record_of(outcome_of(log.trial), log, None)
     account.recorded(recorded)
     account.decided(recorded, Decision("repeat", "battery swap"))
