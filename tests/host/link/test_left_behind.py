@@ -404,13 +404,13 @@ def test_the_battery_sags_while_it_rests(
     says: Says, board: SimBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert says(*KEEP)[0] == 0
-    look = preflight._look_at_battery
+    look = preflight._check_battery
 
     def sags(fish: Fish, *rest: Any) -> None:
         board.world.set_battery_v(6.4)
         look(fish, rest[0], fish.status())
 
-    monkeypatch.setattr(preflight, "_look_at_battery", sags)
+    monkeypatch.setattr(preflight, "_check_battery", sags)
     status, _ = says(*KEEP, "--until", "battery")
     assert status == 0, "as was asked for"
     assert len(journal("swum")) == 1
