@@ -258,12 +258,12 @@ def library_of(fish: Fish, root: Path | None = None) -> TrialLibrary | None:
     return TrialLibrary.of(fish.unique_id(), root)
 
 
-def identified_of(library: Logbook | None) -> Identified | None:
+def identified_of(library: TrialLibrary | None) -> Identified | None:
     """The identified fish of a library, if there are both. Raises InputError for a damaged file."""
     return None if library is None else library.identified()
 
 
-def identified_if_readable(library: Logbook | None) -> Identified | None:
+def identified_if_readable(library: TrialLibrary | None) -> Identified | None:
     """As identified_of; of a damaged file None: then the board's own model counts."""
     try:
         return identified_of(library)

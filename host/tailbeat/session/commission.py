@@ -22,7 +22,13 @@ from tailbeat.core.speed_source import SpeedSource, speed_source
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save
-from tailbeat.experiment.library import RUN, Logbook, logbook_of, name_reference, preserve_folder
+from tailbeat.experiment.library import (
+    RUN,
+    TrialLibrary,
+    library_of,
+    name_reference,
+    preserve_folder,
+)
 from tailbeat.learning.design import design, law_words
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import IdentificationRun
@@ -120,7 +126,7 @@ class _Session:
     def look(self) -> CommissionStep:
         """Whether it can swim at all; then the reference."""
         fish = self.fish
-        restore_interrupted(fish, preserve_folder(logbook_of(fish)), self._note)
+        restore_interrupted(fish, preserve_folder(library_of(fish)), self._note)
         require_idle(fish)
         params = fish.params.values()
         findings = look_at(fish)
@@ -204,7 +210,7 @@ class _Session:
             f"{model.delay_s:.2f} s",
         )
 
-    def _attendant(self, book: Logbook | None) -> IdentificationHooks:
+    def _attendant(self, book: TrialLibrary | None) -> IdentificationHooks:
 
         def before(run: IdentificationRun) -> None:
             text = f"Run {run.number}, {run.kind}, up to {run.cruise_rad:.2f} rad: about "

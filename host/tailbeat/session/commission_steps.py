@@ -179,7 +179,7 @@ def try_limit(
     """Swims up to ``amplitude_rad``; the board has its limit and all it had learned back
     afterwards, also when it fails. ``limits``: of the preflight checks before it; None = none.
     Raises TailbeatError when the trial ends early."""
-    book = logbook_of(fish)
+    book = library_of(fish)
 
     def keep(path: Path) -> None:
         if book is not None:

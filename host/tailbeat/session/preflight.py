@@ -19,7 +19,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.faults import BATTERY_SENSE, TRIAL_PENDING, fault_info
 from tailbeat.core.frames import Camera, Frame
 from tailbeat.core.trial_file import parse_trial
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import library_of
 from tailbeat.link.ftp.wire import FtpError
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import BoardStatus
@@ -315,7 +315,7 @@ def _check_battery(fish: Fish, step: PreflightStep, status: BoardStatus) -> None
 
 def check_room(at: Preflight, step: PreflightStep) -> None:
     """The expected travel fits into the tank. Raises InputError."""
-    at.travel = travel = travel_next(at.fish, logbook_of(at.fish))
+    at.travel = travel = travel_next(at.fish, library_of(at.fish))
     try:
         travel.require_room()
     except InputError as error:

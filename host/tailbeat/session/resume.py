@@ -18,7 +18,7 @@ from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.board_state import copy_state, expected_params, held_state
 from tailbeat.experiment.current import note_restored, reference_of, strayed, use
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import identified_if_readable, logbook_of, preserve_folder
+from tailbeat.experiment.library import identified_if_readable, library_of, preserve_folder
 from tailbeat.learning.assessment import series_of
 from tailbeat.learning.convergence import input_crc
 from tailbeat.learning.fish_model import FishModel
@@ -176,7 +176,7 @@ def _left_over(
         raise TailbeatError(
             f"the repeat was discarded: {decision.reason}.", f"Again: {RESUME_COMMAND}"
         )
-    if (book := logbook_of(fish)) is not None:
+    if (book := library_of(fish)) is not None:
         book.keep(recorded.file)
     return recorded
 
@@ -241,7 +241,7 @@ def end_repeat(fish: Fish, experiment: Experiment) -> None:
 
 
 def _judged(fish: Fish, before: list[Trial], recorded: RecordedTrial) -> FishChange:
-    identified = identified_if_readable(logbook_of(fish))
+    identified = identified_if_readable(library_of(fish))
     repeat = read_trial(recorded.file)
     earlier = [trial for trial in _series(fish, before) if trial.number != repeat.number]
     return change_of(earlier, repeat, _model(fish, identified), identified, recorded.straight)
@@ -250,7 +250,7 @@ def _judged(fish: Fish, before: list[Trial], recorded: RecordedTrial) -> FishCha
 def _series(fish: Fish, trials: list[Trial]) -> list[Trial]:
     """The last one of the board's reference. Raises InputError when there is none."""
 
-    return series_of(trials, fish.status().reference_crc, identified_if_readable(logbook_of(fish)))
+    return series_of(trials, fish.status().reference_crc, identified_if_readable(library_of(fish)))
 
 
 def _model(fish: Fish, identified: Identified | None) -> FishModel:

@@ -12,7 +12,7 @@ from tailbeat.core.errors import TailbeatError
 from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import identified_if_readable, identified_of, logbook_of
+from tailbeat.experiment.library import identified_if_readable, identified_of, library_of
 from tailbeat.learning.assessment import progress_of
 from tailbeat.learning.convergence import Assessment
 from tailbeat.session.commission_steps import next_limit_increase
@@ -100,7 +100,7 @@ def _assess(
 ) -> tuple[Assessment | None, str]:
     """The assessment, or why there is none."""
     try:
-        identified = identified_of(logbook_of(fish))
+        identified = identified_of(library_of(fish))
         return progress_of(trials, reference_crc, identified, (), rolled_back).verdict, ""
     except TailbeatError as error:
         return None, str(error)
@@ -181,7 +181,7 @@ def advice(fish: Fish, experiment: Experiment) -> list[str]:
     straight = heading_drift(trials[-1]) if trials else None
     rolled_back = _has_rolled_back(experiment)
     found = next_limit_increase(
-        params, reference, identified_if_readable(logbook_of(fish)), straight, rolled_back
+        params, reference, identified_if_readable(library_of(fish)), straight, rolled_back
     )
     if isinstance(found, str):
         return [found]

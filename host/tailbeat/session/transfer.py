@@ -278,7 +278,7 @@ def _learned(
     return _along(fish, like, state, book, experiments)
 
 
-def _left(fish: Fish, new: Reference, book: Logbook | None) -> LearnedInput:
+def _left(fish: Fish, new: Reference, book: TrialLibrary | None) -> LearnedInput:
     """The copy that was made before ``new`` came; the last, when there are some."""
     root = book.folder / COPIES if book is not None else None
     for folder in sorted(root.iterdir(), reverse=True) if root and root.is_dir() else []:
@@ -295,7 +295,7 @@ def _left(fish: Fish, new: Reference, book: Logbook | None) -> LearnedInput:
 
 
 def _along(
-    fish: Fish, text: str, state: _State, book: Logbook | None, experiments: Path
+    fish: Fish, text: str, state: _State, book: TrialLibrary | None, experiments: Path
 ) -> LearnedInput:
     """A reference by name or CSV."""
 

@@ -21,7 +21,7 @@ from tailbeat.core.faults import NO_REFERENCE, refusal
 from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.records import decode_reference
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.experiment.library import Logbook, identified_if_readable
+from tailbeat.experiment.library import TrialLibrary, identified_if_readable
 from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.fit import Prior, Scatter, farthest, fit, speeds_with_coast, travel_m
 from tailbeat.learning.identification import Identified
@@ -135,7 +135,7 @@ def travel_next(fish: Fish, book: TrialLibrary | None) -> Travel:
 
 def guarded_trial(
     fish: Fish,
-    book: Logbook | None,
+    book: TrialLibrary | None,
     caller: Guard | None = None,
     abort_requested: Callable[[], bool] = lambda: False,
 ) -> GuardedTrial:
@@ -179,7 +179,7 @@ def _next(fish: Fish, book: TrialLibrary | None) -> _Next:
     return _Next(amplitude, wanted.beat_s, params, belief)
 
 
-def last_measured(fish: Fish, book: Logbook | None) -> Trial | None:
+def last_measured(fish: Fish, book: TrialLibrary | None) -> Trial | None:
     """The trial the board learned from last, else the last of the trial library that counts, is of
     no identification and has speeds. One that the trial library lacks is fetched, once."""
     number = fish.status().last_learned_trial

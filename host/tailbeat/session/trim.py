@@ -245,7 +245,7 @@ class _TrimRunner:
     camera: Camera | None
     guard: Guard | None
     limits: PreflightLimits | None
-    book: Logbook | None
+    book: TrialLibrary | None
 
     def swim(self, number: int, centre_us: float, planned: TrimPlan) -> _Log:
         """Asks, swims, keeps."""

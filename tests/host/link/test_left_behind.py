@@ -26,7 +26,7 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.experiment.board_state import copy_state, held_state
 from tailbeat.experiment.current import begin, current
 from tailbeat.experiment.folder import Experiment, alone
-from tailbeat.experiment.library import logbook_of, preserve_folder
+from tailbeat.experiment.library import library_of, preserve_folder
 from tailbeat.session import preflight, series
 from tailbeat.session.events import Event
 from tailbeat.session.log import SessionLog, write_held

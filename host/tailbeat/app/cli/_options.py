@@ -15,7 +15,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.board.provision import NO_KEY, connect_notice
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.files import replace_file
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import library_of
 from tailbeat.session.preflight_step import PreflightLimits
 
 Connect = Annotated[

@@ -23,7 +23,7 @@ from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError
 from tailbeat.experiment.current import current, is_interrupted, named_reference, swims_for
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import logbook_of, preserve_folder
+from tailbeat.experiment.library import library_of, preserve_folder
 from tailbeat.session.commission import CommissionStep, commission_fish
 from tailbeat.session.outcome import Decision
 from tailbeat.session.preflight_step import PreflightLimits
