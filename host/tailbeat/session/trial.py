@@ -162,8 +162,6 @@ def _prepare(run: _Run, camera: Camera | None) -> None:
     fish = run.fish
     run.settle_s = fish.params.get("SETTLE_S").value
     window_s = fish.params.get("SPD_WINDOW_S").value
-    record = fish.reference_record()
-    beat_s = records.decode_reference(record).beat_s if record is not None else 1.0
     run.source = fish.speed_source()
     if camera is None and run.source.sampled:
         text = "no camera, but SPD_SOURCE is vision: this trial will have no speeds"
@@ -172,8 +170,7 @@ def _prepare(run: _Run, camera: Camera | None) -> None:
         run.camera = TrialCamera(
             fish,
             camera,
-            # a line over less than a beat would see part of the tail's swing
-            window_s=max(window_s, beat_s) if window_s > 0 else 1.0,
+            window_s=max(window_s, _beat_s(fish)) if window_s > 0 else 1.0,
             dispensable=not run.source.sampled,
             emit=run.emit,
             consult=lambda what: _consult(run, what),
@@ -184,6 +181,12 @@ def _prepare(run: _Run, camera: Camera | None) -> None:
     fish.clock.sync()
     if fish.status().state != "ARMED":
         fish.arm()
+
+
+def _beat_s(fish: Fish) -> float:
+    """Of the board's reference; a line over less than a beat would see part of the tail's swing."""
+    record = fish.reference_record()
+    return records.decode_reference(record).beat_s if record is not None else 1.0
 
 
 def _start(run: _Run) -> None:
