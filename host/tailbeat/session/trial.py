@@ -154,8 +154,7 @@ def _execute(run: _Run, camera: Camera | None) -> TrialOutcome:
 
 
 def _abort(run: _Run) -> None:
-    reason = run.abort_reason
-    run.fish.abort(wall=reason is not None and reason.kind is StopKind.WALL)
+    run.fish.abort(wall=run.abort_reason is not None and run.abort_reason.kind is StopKind.WALL)
 
 
 def _prepare(run: _Run, camera: Camera | None) -> None:

@@ -303,7 +303,7 @@ def test_an_abort_the_link_swallowed_is_said_again(
     said = []
     abort = ready.abort
 
-    def first_one_lost() -> None:
+    def first_one_lost(wall: bool = False) -> None:
         said.append("abort")
         if len(said) == 1:
             raise LinkLostError("the link broke")
@@ -338,7 +338,7 @@ def test_a_second_ctrl_c_ends_the_waiting(ready: Fish, monkeypatch: pytest.Monke
         if isinstance(event, TrialStarted | LinkLost):
             raise KeyboardInterrupt
 
-    def lost() -> None:
+    def lost(wall: bool = False) -> None:
         raise LinkLostError("the link broke")
 
     monkeypatch.setattr(ready, "abort", lost)
