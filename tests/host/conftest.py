@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import typer.main
 
+from tailbeat.app.cli._terminal import json_asked
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.link.impaired import Corrupt, Drop, Duplicate, Fault, ImpairedLine
@@ -48,6 +49,13 @@ class BadRadio(ImpairedLine):
         self.sent.append(data)
         if self.on_write is None or self.on_write(data):
             super().write(data)
+
+
+@pytest.fixture(autouse=True)
+def _no_json_asked() -> Iterator[None]:
+    """A command that Typer's runner calls sets this for the process, which ends with it."""
+    yield
+    json_asked.set(False)
 
 
 @pytest.fixture(autouse=True)

@@ -20,7 +20,7 @@ _SAMPLES = 40  # of an exposure
 @dataclass(frozen=True)
 class LedFilm:
     """``hidden``: part of the pictures in which the LED is covered; ``hidden_s`` long each time.
-    ``before_s`` and ``after_s`` of the swim; negative: the film begins or ends in mid-swim.
+    ``before_s`` and ``after_s`` of the trial; negative: the film begins or ends in mid-swim.
     ``blink_s``: length of a countdown before it, until ``steady_s`` before it."""
 
     number: int = 7
@@ -39,7 +39,7 @@ class LedFilm:
     jitter_s: float = 0.0  # of the time stamps' distances; the stamps are true
 
     def make(self, seed: int) -> tuple[Track, float]:
-        """The track and the true begin of the swim."""
+        """The track and the true begin of the trial."""
         rng = np.random.default_rng(seed)
         exposure_s = rng.uniform(0.002, 0.9 / self.fps)
         start_s = self.before_s + rng.uniform(0, 0.5)

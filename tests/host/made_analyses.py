@@ -1,4 +1,4 @@
-"""Analyses made by hand from a few kinds of swims, for what no simulated day brings about."""
+"""Analyses made by hand from a few kinds of trials, for what no simulated day brings about."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def trial(
     gaps: Sequence[int] = (),
     wanted_rad: float = 0.5,
 ) -> Trial:
-    """A swim whose error is the same in every beat."""
+    """A trial whose error is the same in every beat."""
     done = beats if executed is None else executed
     there = np.arange(beats) < done
     wanted = np.full(beats, wanted_rad, np.float32)
@@ -143,7 +143,7 @@ def analysis(swims: Sequence[Trial], rows: Sequence[TrialRow], **fields: Any) ->
 
 
 def series(errors: Sequence[float], **fields: Any) -> Analysis:
-    """One kept swim per iteration."""
+    """One kept trial per iteration."""
     swims = [trial(n, n, e, wanted_rad=0.5 - 0.001 * n) for n, e in enumerate(errors, 1)]
     rows = [row(swim) for swim in swims]
     for n in range(1, len(rows)):

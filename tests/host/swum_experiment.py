@@ -1,4 +1,4 @@
-"""An experiment for tests: six swims of a simulated fish, one discarded, one a repeat."""
+"""An experiment for tests: six trials of a simulated fish, one discarded, one a repeat."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from tailbeat.sim.board import CONSOLE, SimTransport, SimulatedBoard
 
 @dataclass
 class Happening:
-    """Something that is done to the fish in the middle of beat ``beat`` of swim ``swim``."""
+    """Something that is done to the fish in the middle of beat ``beat`` of trial ``swim``."""
 
     swim: int
     beat: int
@@ -75,5 +75,5 @@ class Day:
         Fish(SimTransport(self.board, CONSOLE)).abort()
 
     def happens(self, beat: int, act: Callable[[], None]) -> None:
-        """In the middle of that beat of the next swim."""
+        """In the middle of that beat of the next trial."""
         self.tank.happenings.append(Happening(self.swims() + 1, beat, act))

@@ -50,11 +50,11 @@ class Script:
         return self.aborts(self.told)
 
     def decide(self, recorded: RecordedTrial) -> Decision:
-        """Never asked by the ritual."""
+        """Never asked by the preflight checks."""
         raise AssertionError(recorded)
 
     def confirm(self, question: str) -> bool:
-        """Never asked by the ritual."""
+        """Never asked by the preflight checks."""
         raise AssertionError(question)
 
     def texts(self, step: str) -> list[str]:

@@ -373,7 +373,7 @@ def _note(browser: Browser) -> None:
 
 
 def _learn(browser: Browser) -> None:
-    """Three swims that are kept; the first with all that comes before a swim."""
+    """Three trials that are kept; the first with all that comes before a trial."""
     browser.type(".shape input", "trapezoid:0.065,6,10")
     browser.click(".use")
     browser.until("document.querySelector('.next').innerText.startsWith('START: trial 1')")

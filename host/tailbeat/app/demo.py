@@ -72,7 +72,7 @@ class DemoTrial:
     """One row of the result; None where only a simulator in this process could tell."""
 
     iteration: int
-    trial: int  # 0 = not swum
+    trial: int  # 0 = not executed
     max_abs_error_m_s: float
     rms_error_m_s: float
     true_max_abs_error_m_s: float | None

@@ -45,7 +45,7 @@ _AFTER_S = 2.0  # of film after the last beat
 
 @dataclass(frozen=True)
 class ExerciseOptions:
-    """``before_s``: of film before the swim. ``overrides``: fields of the simulator's
+    """``before_s``: of film before the trial. ``overrides``: fields of the simulator's
     configuration, SI."""
 
     reference: Reference

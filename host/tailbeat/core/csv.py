@@ -1,6 +1,6 @@
 """CSV files: cells with their row and column, and one value per beat.
 
-Speeds that were measured after a swim: CSV files to one value per beat.
+Speeds that were measured after a trial: CSV files to one value per beat.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def read_speeds(path: Path, beats: int, beat_s: float, trial: int | None = None)
     """Speeds per beat of one of two forms of file.
 
     ``beat,speed_m_s``: as they are; an empty cell = not measured. ``t_s,v_m_s``, t_s from the begin
-    of the swim: means over each beat of the straight lines through the points. Further columns of
+    of the trial: means over each beat of the straight lines through the points. Further columns of
     the second form may be:
 
     ``window_s``: a value is itself a mean over such a window around t_s. A beat's value is then the
@@ -181,7 +181,7 @@ def read_speeds(path: Path, beats: int, beat_s: float, trial: int | None = None)
     if found.measured == 0:
         raise InputError(
             f"{path.name} covers no beat: its times are {time[0]:g} to {time[-1]:g}.",
-            "t_s counts seconds from the begin of the swim.",
+            "t_s counts seconds from the begin of the trial.",
         )
     if sigma is None:
         return found

@@ -32,7 +32,7 @@ _UNEVEN = 1e-3  # of a beat: what other programs may round off
 
 @dataclass(frozen=True)
 class ReferenceProblem:
-    """Why a reference cannot be swum, and what to do about it."""
+    """Why a reference cannot be executed, and what to do about it."""
 
     meaning: str
     remedy: str

@@ -28,7 +28,7 @@ class SpeedSource:
 
     @property
     def uploaded(self) -> bool:
-        """Whether the speeds come from a host after the swim, computed elsewhere."""
+        """Whether the speeds come from a host after the trial, computed elsewhere."""
         return not self.estimated
 
 

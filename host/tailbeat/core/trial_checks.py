@@ -76,11 +76,11 @@ class _Native:
 CROOKED_RAD = math.radians(15.0)
 
 _LACKING_MAX = 0.1  # of the slots
-# The board takes what its gyro says in the rest before the swim for the gyro's zero, and calls a
-# fish at rest that turns by up to a degree (firmware/speed/rest.h): over a swim five times as long
+# The board takes what its gyro says in the rest before the trial for the gyro's zero, and calls a
+# fish at rest that turns by up to a degree (firmware/speed/rest.h): over a trial five times as long
 # as that rest this comes to 5 degrees.
 _REST_TURN_RAD = math.radians(1.0)
-_RESTED_MIN = 0.2  # of the swim
+_RESTED_MIN = 0.2  # of the trial
 _FRAMES_MIN = 6  # in a beat
 _COVERED_MIN = 0.6  # of a beat, from its first to its last frame
 _WAY_MIN_M = 0.2  # less tells no curvature
@@ -89,10 +89,10 @@ _SIGMA_MIN_RAD = 1e-3  # of a beat's mean heading
 
 @dataclass(frozen=True)
 class HeadingDrift:
-    """Headings are means over whole beats, against the direction in which the swim began, positive
-    clockwise from above. ``mean_yaw_rad``: over the swim; ``worst_yaw_rad``: the farthest off, with
-    its sign; ``curvature_1_m``: turn per metre swum, NaN when it hardly moved. ``source``: ``imu``
-    or ``camera``."""
+    """Headings are means over whole beats, against the direction in which the trial began, positive
+    clockwise from above. ``mean_yaw_rad``: over the trial; ``worst_yaw_rad``: the farthest off,
+    with its sign; ``curvature_1_m``: turn per metre swum, NaN when it hardly moved. ``source``:
+    ``imu`` or ``camera``."""
 
     mean_yaw_rad: float
     worst_yaw_rad: float
@@ -211,8 +211,8 @@ def _way(speed_m_s: F64, beat_s: float) -> F64:
 
 
 def _headings(trial: Trial) -> F64 | None:
-    """Mean heading over each whole beat that was swum, against that at the begin, which the sway of
-    the body leaves alone; None when too many turns are not known."""
+    """Mean heading over each whole beat that was executed, against that at the begin, which the
+    sway of the body leaves alone; None when too many turns are not known."""
 
     beats = trial.executed_beats
     count = math.ceil(beats * trial.beat_s / SLOT_S - 1e-6)
@@ -318,7 +318,7 @@ def not_reached(executed: int, measured: ArrayLike) -> str:
     lost = np.flatnonzero(~known[:executed])
     parts = []
     if executed < len(known):
-        parts.append(f"not swum: {spans(np.arange(executed, len(known)))}")
+        parts.append(f"not executed: {spans(np.arange(executed, len(known)))}")
     if len(lost):
         parts.append(f"without a speed: {spans(lost)}")
     return "; ".join(parts)

@@ -92,7 +92,7 @@ class Slots:
 
 @dataclass(frozen=True)
 class Rest:
-    """The fish was still, by its IMU; time from the start of the swim."""
+    """The fish was still, by its IMU; time from the start of the trial."""
 
     begin_s: float
     still_s: float
@@ -174,7 +174,7 @@ class Trial:
     end_fault: int | None  # None: the file has no end record
     executed_beats: int
     end: str  # ``complete``, ``aborted:REASON``, ``fault:NAME`` or ``unfinished``
-    uploaded: bool  # the beats' speeds were given after the swim
+    uploaded: bool  # the beats' speeds were given after the trial
     params: dict[str, float]
     slots: Slots
     rest_before: Rest | None

@@ -45,9 +45,9 @@ _BAND = (5.0, 50.0, 95.0)
 
 @dataclass(frozen=True)
 class IterationStatistics:
-    """Per iteration of the last epoch, over its complete swims that count (max|e| of a part of the
+    """Per iteration of the last epoch, over its complete trials that count (max|e| of a part of the
     beats says nothing of the whole): how many, median and 5 to 95 % band of max|e| and RMS; of one
-    swim all three are the same. Shape (iterations,)."""
+    trial all three are the same. Shape (iterations,)."""
 
     iteration: NDArray[np.int64]
     swims: NDArray[np.int64]
@@ -61,13 +61,13 @@ class IterationStatistics:
 
 @dataclass(frozen=True)
 class Analysis:
-    """``rows``: every swim, discarded ones too, in the order they were swum. ``trials``: the same
-    as read from the files. ``floor_m_s``: max|e| of the best input of the fish, ``floor_lsq_m_s``
-    of the best by least squares; ``floor_by`` says of what: the ``identified`` fish, or the
-    ``simulator`` where nothing was identified; NaN = neither is there. ``noise_m_s``: standard
-    deviation of max|e| between repeats with ``noise_freedom`` degrees of freedom, NaN = no repeats.
-    ``problems``: what is wrong with the folder, swims that were not straight, and where the board
-    began anew; one line each."""
+    """``rows``: every trial, discarded ones too, in the order they were executed. ``trials``: the
+    same as read from the files. ``floor_m_s``: max|e| of the best input of the fish,
+    ``floor_lsq_m_s`` of the best by least squares; ``floor_by`` says of what: the ``identified``
+    fish, or the ``simulator`` where nothing was identified; NaN = neither is there. ``noise_m_s``:
+    standard deviation of max|e| between repeats with ``noise_freedom`` degrees of freedom, NaN = no
+    repeats. ``problems``: what is wrong with the folder, swims that were not straight, and where
+    the board began anew; one line each."""
 
     name: str
     simulated: bool
@@ -115,7 +115,7 @@ class Analysis:
 
     @property
     def reference(self) -> Reference:
-        """What was to be swum."""
+        """What was to be executed."""
         return Reference(
             self.beat_s, self.reference_m_s.astype(np.float32), self.reference_name or "reference"
         )
@@ -193,7 +193,7 @@ def _begun_anew(rows: Sequence[TrialRow]) -> list[str]:
     """One line for each time the board did."""
     return [
         f"the board began anew with trial {row.trial} ({row.file}): iterations count from"
-        f" {row.iteration} again, and figures and comparisons are of the swims since the last time"
+        f" {row.iteration} again, and figures and comparisons are of the trials since the last time"
         for before, row in pairwise(rows)
         if row.epoch != before.epoch
     ]

@@ -2,7 +2,7 @@
 
 Means by Welch's t, which lets the two sides scatter differently; the effect size over the pooled
 scatter with its interval by the noncentral t distribution (Hedges 1981; Cumming and Finch 2001),
-which is exact for normal scatter also with few swims.
+which is exact for normal scatter also with few trials.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ _WIDE_SIGMAS = 9.0
 
 @dataclass(frozen=True)
 class Comparison:
-    """Of ``what`` (``max``: max|e|, ``rms``) over the swims that count on each side.
+    """Of ``what`` (``max``: max|e|, ``rms``) over the trials that count on each side.
 
     ``difference``: mean of B minus mean of A with its 95 % interval by Welch; ``g``: the same over
     the pooled standard deviation, Hedges's, with the interval of the true effect by the noncentral
     t distribution (infinite when nothing scatters). ``repeats``: swims needed on each side to see
     an effect of that size (power 80 %, two-sided 5 %); None = the effect is too small for 1000.
-    ``worse``: how many of the swims were worse than noise explains, on each side (``count``).
+    ``worse``: how many of the trials were worse than noise explains, on each side (``count``).
     ``words``: one line for people, which does not claim more than the interval allows."""
 
     what: str
@@ -66,7 +66,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Counted:
-    """``rows``: the swims that count; ``worse``: how many of those since progress ended had other
+    """``rows``: the trials that count; ``worse``: how many of those since progress ended had other
     amplitudes than the best and did worse than noise explains, or made the board roll back. They
     count: what was chosen by its result would flatter the law that fluctuates most."""
 
@@ -80,15 +80,15 @@ def counted(analysis: Analysis, iterations: Sequence[int] | None = None) -> list
 
 
 def counted_rows(analysis: Analysis, iterations: Sequence[int] | None = None) -> list[TrialRow]:
-    """The swims of ``count``."""
+    """The trials of ``count``."""
     return count(analysis, iterations).rows
 
 
 def count(analysis: Analysis, iterations: Sequence[int] | None = None) -> Counted:
-    """The swims that count, of the last epoch: those of ``iterations``, or by default the repeats
-    of the best input, without the swim that made it the best (a lucky one more often than not), and
-    where those are fewer than two all complete ones from the iteration on from which the verdict
-    saw no more progress. Never discarded or undecided swims, nor such as were cut short."""
+    """The trials that count, of the last epoch: those of ``iterations``, or by default the repeats
+    of the best input, without the trial that made it the best (a lucky one more often than not),
+    and where those are fewer than two all complete ones from the iteration on from which the
+    verdict saw no more progress. Never discarded or undecided swims, nor such as were cut short."""
     pairs = [
         (row, score_of(trial))
         for row, trial in zip(analysis.rows, analysis.trials, strict=True)
@@ -116,7 +116,7 @@ def count(analysis: Analysis, iterations: Sequence[int] | None = None) -> Counte
 def compare(
     a: Analysis, b: Analysis, what: str = "max", iterations: Sequence[int] | None = None
 ) -> Comparison:
-    """Raises InputError: another reference, or fewer than two swims on a side, with how many more
+    """Raises InputError: another reference, or fewer than two trials on a side, with how many more
     are needed."""
     if what not in WHAT:
         raise InputError(f"there is no '{what}' to compare.", f"Use {' or '.join(WHAT)}.")
@@ -141,7 +141,7 @@ def _require_enough(
     of = f" of iterations {', '.join(map(str, iterations))}" if iterations is not None else ""
     more = _SWIMS_MIN - len(values)
     raise InputError(
-        f"{analysis.name} has {len(values)} complete swim{'s' * (len(values) != 1)}{of} that "
+        f"{analysis.name} has {len(values)} complete trial{'s' * (len(values) != 1)}{of} that "
         f"count{'s' * (len(values) == 1)}; scatter cannot be told from less than {_SWIMS_MIN}.",
         f"Swim the same input {more} more time{'s' * (more > 1)} (decide: repeat), or name other "
         "iterations.",

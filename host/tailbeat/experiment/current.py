@@ -2,13 +2,13 @@
 
 Which parameters a board is meant to have: what its experiment had last, what was set since.
 
-Everything else is lost (a battery swap takes what was not saved) or somebody else's doing. A swim
+Everything else is lost (a battery swap takes what was not saved) or somebody else's doing. A trial
 would go on with it, and the law learn by it, without a word: so it is told first.
 
 An experiment knows its own in its journal and its copy of the board's state. Before there is one,
 and between two, the fish's trial library does: ``meant.json``, what commands set on this board.
 
-A second ``experiment new`` before anything was swum in the first.
+A second ``experiment new`` before anything was executed in the first.
 """
 
 from __future__ import annotations
@@ -356,7 +356,7 @@ def _board_params(fish: Fish) -> dict[str, float]:
 
 
 def untouched(experiment: Experiment) -> bool:
-    """Nothing was swum in it, noted or set: only what making it has put there."""
+    """Nothing was executed in it, noted or set: only what making it has put there."""
     if any(experiment.raw.glob("*.ulg")):
         return False
     return {entry["what"] for entry in experiment.journal.entries()} <= {"made", "opened"}
@@ -379,6 +379,6 @@ def made_before(
     if all(held.get(key) == value for key, value in wanted.items()):
         return found
     raise InputError(
-        f"nothing was swum yet in {found.folder}, with other settings.",
+        f"nothing was executed yet in {found.folder}, with other settings.",
         f"Mend those: tailbeat experiment set {found.folder} ...; for one beside it: --another",
     )

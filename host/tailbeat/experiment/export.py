@@ -68,7 +68,7 @@ def export(
     experiment: Experiment, formats: Sequence[str] = (), folder: Path | None = None
 ) -> list[Path]:
     """Writes ``export/`` in the experiment's folder (or ``folder``) and returns the files: every
-    swim, discarded ones too, with what was decided. The same experiment gives the same bytes.
+    trial, discarded ones too, with what was decided. The same experiment gives the same bytes.
 
     Parameters:
         formats: some of ``FORMATS``; none = all that can be written here (``missing_formats``).

@@ -248,7 +248,7 @@ class Experiment:
         return Journal(self.folder / _JOURNAL)
 
     def settings(self) -> dict[str, Any]:
-        """What was set when the trials were swum."""
+        """What was set when the trials were executed."""
         path = self.folder / _SETTINGS
         try:
             values = json.loads(path.read_text(encoding="utf-8"))
@@ -530,7 +530,8 @@ def _digest_of(path: Path) -> str:
 
 
 def _in_order(files: dict[str, Path], recorded: Sequence[str], added: Sequence[str]) -> list[Path]:
-    """Those of ``recorded`` in its order; each other one before the first that was swum later."""
+    """Those of ``recorded`` in its order; each other one before the first that was executed
+    later."""
     order = sorted(files)
     if any("-" in name for name in files):
         place = {name: at for at, name in enumerate(added)}

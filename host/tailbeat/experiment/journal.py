@@ -5,14 +5,14 @@ Every line has ``time`` (ISO 8601 with zone, local) and ``what``:
 ``made``, ``opened``; ``typed`` {command}: what makes the fish swim; ``set`` {params, conditions,
 ...}: what is new of them; ``begun`` and ``swum`` {trial, iteration, end, file, rested_s, pose,
 drift, travel, battery_start_v, battery_end_v, board_s}; ``void`` {trial, end}: begun, but not
-swum; ``decided`` {trial, decision, reason, file}, ``withdrawn`` {trial, file, reason};
+executed; ``decided`` {trial, decision, reason, file}, ``withdrawn`` {trial, file, reason};
 ``learned`` {trial, ..., rolled_back}; ``note`` {text}; ``resumed`` {..., board_s}; ``restarted``
-{board_s}: the board was switched off, and somebody said to go on; ``trimmed`` {...};
-``identified`` {file}; ``restored`` {trial}
+{board_s}: the board was switched off, and somebody said to go on; ``trimmed`` {...}; ``identified``
+{file}; ``restored`` {trial}
 
 A line that the end of power has torn is never removed: it is ended with ``#torn`` and not read.
 
-What the journal says of each swim.
+What the journal says of each trial.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def _entry(line: bytes) -> dict[str, Any] | None:
 @dataclass(frozen=True)
 class Told:
     """Of one trial's file. ``decision`` empty: nobody decided. ``learned`` None: the journal does
-    not tell (an older tool, or commands without a series). ``recorded``: it tells of the swim.
+    not tell (an older tool, or commands without a series). ``recorded``: it tells of the trial.
     ``battery_start_v``: before the tail loaded it; a log begins later."""
 
     decision: str = ""

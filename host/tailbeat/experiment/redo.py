@@ -19,7 +19,7 @@ REDO = "redo.md"
 _UNRECORDED = (
     "No command that swam was written down (the live page, a script, an older tool), so its options"
     " are not known (`--rest`, `--until`, `--camera` and what goes with it); what came of them is,"
-    " behind a swim and in `journal.jsonl`."
+    " behind a trial and in `journal.jsonl`."
 )
 _UNKNOWN_SIMULATOR = ("simulated plant", "seed")  # its fault-injection port did not answer
 _ABOUT = {
@@ -52,7 +52,7 @@ def redo_text(experiment: Experiment) -> str:
     parts = [
         f"# {experiment.stable_name}, done again",
         "## What it was\n\n" + "\n".join(_about(settings)),
-        "## Before the first swim\n\n" + _code(_before(settings)),
+        "## Before the first trial\n\n" + _code(_before(settings)),
         "## What was done, in order\n\n" + "\n".join(_steps(entries)),
         *unknown,
         "## The same numbers and figures from the raw files\n\n"
@@ -169,7 +169,7 @@ def _step(entry: Mapping[str, Any]) -> str:
 
 
 def _found(entry: Mapping[str, Any]) -> str:
-    """What the ritual found, as far as it was journalled."""
+    """What the preflight checks found, as far as it was journalled."""
     rested_s, pose = entry.get("rested_s"), entry.get("pose") or {}
     rested = "" if rested_s is None else f", rested {rested_s:.0f} s"
     return rested + (f", pose by {pose['source']}" if pose.get("source") else "")

@@ -25,7 +25,7 @@ _BY_THE_LAW = ("law", "")  # "" = not told: a log of an older board
 
 @dataclass(frozen=True)
 class TrialRow:
-    """One swim. ``iteration``: of its amplitudes; a repeat of older ones has theirs. ``decision``:
+    """One trial. ``iteration``: of its amplitudes; a repeat of older ones has theirs. ``decision``:
     keep, repeat, discard, or empty when nobody decided. ``repeat_of``: the first trial of its epoch
     that counts with the same amplitudes, 0 = this is the first. ``contraction``: what a step of the
     law did, max|e| of a kept trial over that of the last kept trial of the iteration before; NaN =
@@ -37,8 +37,8 @@ class TrialRow:
     ``learned``, ``rolled_back``: what the board did with it; where the journal does not tell, by
     what swam next. Voltages: before the tail loaded the battery, as the journal has it, else the
     first in the log; and the last in the log; NaN = none. ``file``: its name in ``raw/``.
-    ``undecided``: nobody decided, nothing was learned from it, and the journal tells of swims (in a
-    folder without a journal all count as kept). ``epoch``: 0, and one more each time the board
+    ``undecided``: nobody decided, nothing was learned from it, and the journal tells of trials (in
+    a folder without a journal all count as kept). ``epoch``: 0, and one more each time the board
     began anew and counted iterations from the beginning again."""
 
     trial: int

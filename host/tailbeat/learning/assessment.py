@@ -252,7 +252,8 @@ def _with_saturation(verdict: Assessment, saturation: Saturation | None) -> Asse
 
 
 def _crooked(series: Sequence[Trial]) -> list[str]:
-    """A line for each trial that was not swum straight: its errors are not of the wanted way."""
+    """A line for each trial that was not executed straight: its errors are not of the wanted
+    way."""
     found = [(trial.number, heading_drift(trial)) for trial in series]
     return [f"trial {number}: {one.text()}" for number, one in found if one and one.crooked]
 
@@ -306,7 +307,7 @@ def _without_runs(trials: Sequence[Trial], identified: Identified | None) -> lis
 
 
 def scores_of(series: Sequence[Trial]) -> list[Score]:
-    """Of trials of one reference. A trial after which the best input so far was swum again, and
+    """Of trials of one reference. A trial after which the best input so far was executed again, and
     which exceeded ROLLBACK_RATIO times the best, was rolled back."""
     scores: list[Score] = []
     for at, trial in enumerate(series):

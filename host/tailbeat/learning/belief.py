@@ -1,11 +1,11 @@
-"""What the swims so far say of a fish, and what it will do next, with a band.
+"""What the trials so far say of a fish, and what it will do next, with a band.
 
-The swims since the identification are gone through in their order. The first one opens the fit: the
-identification is its prior, widened to what the fish may have become, or to what another fish of
-the kind may be when that explains the swims better. Each further one is
+The trials since the identification are gone through in their order. The first one opens the fit:
+the identification is its prior, widened to what the fish may have become, or to what another fish
+of the kind may be when that explains the trials better. Each further one is
 predicted from those before it. When it lies outside of what was predicted, or when no model of this
 form explains it, the model is refuted: what came before no longer counts, and the fit begins anew
-with that swim.
+with that trial.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from tailbeat.learning.fish_model import PARAMS, Conditions, FishModel, TrialSpe
 from tailbeat.learning.fit import Fit, Prior, fit, speed_and_slopes, steepness
 from tailbeat.learning.identification import Identified
 
-# Of the test of one swim, if all noise were normal and the model's form right. As the model's
+# Of the test of one trial, if all noise were normal and the model's form right. As the model's
 # imperfection is counted as noise of each beat, the test seldom gives a false alarm at all.
 FALSE_ALARM = 1e-3
 MEMORY_SWIMS = 12  # older ones no longer count
 
 # How far a fish may be from the one that was identified, as standard deviations in the order and
 # units of PARAMS, relative for kappa and slope. AGED: the same fish. OTHER: another of its kind;
-# wide enough for one swim to overrule. The fit's prior is the one by which the swims are likelier:
-# by the narrow one a swim's own gain and flow are not taken for the map.
+# wide enough for one swim to overrule. The fit's prior is the one by which the trials are likelier:
+# by the narrow one a trial's own gain and flow are not taken for the map.
 AGED = (0.05, 0.02, 0.005, 0.02)
 OTHER = (0.5, 0.2, 0.08, 0.25)
 
@@ -40,7 +40,7 @@ _DRAWS = 400
 _NOISE_M_S = 0.0002  # of a beat's speed, that neither model nor measurement tells of
 _FORGET = 0.1  # of the model's imperfection, added to the disturbance's variance from swim to swim
 _WRONG_ABOUT_CHANGES = 0.05  # of the change of steady speed from swim to swim
-_WRONG_ABOUT_NEW = 0.015  # of the steady speed, on a reference that was never swum
+_WRONG_ABOUT_NEW = 0.015  # of the steady speed, on a reference that was never executed
 # The usual imperfection stands against what residuals tell of it as so many beats do.
 _USUAL_BEATS = 3  # in the identification's swims
 _IDENTIFIED_BEATS = 10  # in later ones, and then as the identification's showed it
@@ -52,8 +52,8 @@ _TINY = 1e-18  # keeps a covariance of what is known exactly invertible
 
 @dataclass(frozen=True)
 class Prediction:
-    """Of the measured beats of a swim. ``factors``: (beats, causes), what one standard deviation of
-    every cause that beats share does to them; ``sigma_m_s``: of each beat alone."""
+    """Of the measured beats of a trial. ``factors``: (beats, causes), what one standard deviation
+    of every cause that beats share does to them; ``sigma_m_s``: of each beat alone."""
 
     mean_m_s: F64
     factors: F64
@@ -81,7 +81,7 @@ class Prediction:
     def max_abs_error(
         self, reference_m_s: F64, measured: NDArray[np.bool_] | None = None
     ) -> tuple[float, float, float]:
-        """5 %, 50 % and 95 % quantile of a swim's max|e| over the ``measured`` beats (None = all),
+        """5 %, 50 % and 95 % quantile of a trial's max|e| over the ``measured`` beats (None = all),
         m/s; the same draws every time."""
         rng = np.random.default_rng(1)
         beats, causes = self.factors.shape
@@ -95,8 +95,8 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Belief:
-    """``swims``: those the fit rests on. ``refuted``: the last swim was not as predicted, or no
-    model explains it. ``chance``: of the last swim, by the prediction that was made for it.
+    """``swims``: those the fit rests on. ``refuted``: the last trial was not as predicted, or no
+    model explains it. ``chance``: of the last trial, by the prediction that was made for it.
     ``identified_imperfection``: as ``imperfection``, of the identification's swims."""
 
     identified: Identified
@@ -114,8 +114,8 @@ class Belief:
 
     @property
     def typical(self) -> Conditions:
-        """What a swim's conditions are on average. A flow is taken to repeat by as much as the mean
-        over the swims stands out of their scatter (James and Stein's estimate)."""
+        """What a trial's conditions are on average. A flow is taken to repeat by as much as the
+        mean over the trials stands out of their scatter (James and Stein's estimate)."""
         scatter = self.identified.scatter
         flows = [given.flow_m_s for given in self.fit.conditions] if self.fit else []
         flow = float(np.mean(flows)) if flows else 0.0
@@ -125,7 +125,7 @@ class Belief:
 
     @property
     def imperfection(self) -> float:
-        """Variance of what the model leaves out, over the usual one: as the swims' residuals tell
+        """Variance of what the model leaves out, over the usual one: as the trials' residuals tell
         it, which are set against some beats of the usual one."""
         odd, beats = self._oddity(self.swims, self.fit)
         return max(
@@ -175,9 +175,9 @@ class Belief:
         imperfect_min: float = 0.0,
     ) -> tuple[F64, F64]:
         """(mean, variance) per beat of what the model does not explain on this reference: a Kalman
-        filter along its swims. (m/s, m^2/s^2) The variance is that of a swim with ``amplitude_rad``
-        (None = of one like the last): where amplitudes change, the model may be wrong anew. The
-        imperfection is taken to be ``imperfect_min`` at least."""
+        filter along its trials. (m/s, m^2/s^2) The variance is that of a swim with
+        ``amplitude_rad`` (None = of one like the last): where amplitudes change, the model may be
+        wrong anew. The imperfection is taken to be ``imperfect_min`` at least."""
         share = max(self.imperfection, imperfect_min)
         mean, variance = np.zeros(beats), np.zeros(beats)
         last: F64 | None = None
@@ -239,8 +239,8 @@ class Belief:
         return np.diag([p.kappa, p.slope, p.dead_zone_rad, p.delay_s]) ** 2
 
     def after(self, swim: TrialSpeeds) -> Belief:
-        """With one more swim. It is tested as if the model were as imperfect as usual: what some
-        swims did not show is seldom reason enough for P."""
+        """With one more trial. It is tested as if the model were as imperfect as usual: what some
+        trials did not show is seldom reason enough for P."""
         found = self.predict(
             swim.amplitude_rad, swim.beat_s, swim.reference_crc, swim.sigma_m_s, _USUAL
         )

@@ -233,8 +233,9 @@ def score_of(trial: Trial, rolled_back: bool = False) -> Score:
 
 
 def repeat_limits(before: Sequence[Score], input_crc: int, band: NoiseBand) -> tuple[float, float]:
-    """(low, high) of max|e| that one more swim of an input has in 95 of 100 cases, m/s. ``before``:
-    the series; judged trials of other inputs tell how lucky a single one of this was."""
+    """(low, high) of max|e| that one more trial of an input has in 95 of 100 cases, m/s.
+    ``before``: the series; judged trials of other inputs tell how lucky a single one of this
+    was."""
     before = comparable(before)
     recorded = [score.max_abs_error_m_s for score in repeats_of(before, input_crc)]
     if len(recorded) > 1:
@@ -380,7 +381,7 @@ def _advice(scores: Sequence[Score], band: NoiseBand) -> str:
     recorded = len(repeats_of(scores, best.input_crc))
     restore = "tailbeat learn --restore-best"
     if recorded >= _REPEATS_MIN:
-        words = f"done: trial {best.trial}'s input was swum {recorded} times, {band.text()}"
+        words = f"done: trial {best.trial}'s input was executed {recorded} times, {band.text()}"
         return f"{words}; keep it: {restore}"
     times = "twice" if recorded == 1 else "once more"
     return f"repeat the best {times} to be sure: {restore}, trial run, trial discard --repeat"

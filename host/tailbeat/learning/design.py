@@ -109,7 +109,7 @@ def design(
 
     Gains are sought up to ``static_gain_best`` only. Beyond it the highest frequencies of a
     sluggish fish would shrink a little faster still, but slow errors, which are nearly all of a
-    learning swim's, shrink slower, and each trial's noise comes back larger: by a/(2 - a) in
+    learning trial's, shrink slower, and each trial's noise comes back larger: by a/(2 - a) in
     variance for a = gain*slope, 1 at that gain and 7 at 1.75. Laws whose worst ratios are nearly
     equal are told apart by the mean ratio, then by the smaller lead. A filter is taken only when
     the lead is free and some frequency grows with every lead: it rounds off corners, which on

@@ -1,11 +1,11 @@
 """A fish in four numbers: dv/dt = kappa*(vss(u(t - delay))**2 - v*|v|), vss = slope*(u - dead)+.
 
-Solved exactly by host/native/drag_model.c. Speeds of a swim are over ground: over water plus the
+Solved exactly by host/native/drag_model.c. Speeds of a trial are over ground: over water plus the
 flow. The thrust's ripple within a beat and the servo are left out; what beat means feel of them
 goes into the four numbers when they are fitted: on the simulated tank a 40 ms servo makes the
 slope 3 % smaller, the dead zone 3 % larger and the delay 16 ms longer.
 
-What the model learns from: one swim, as amplitudes and the speeds they gave.
+What the model learns from: one trial, as amplitudes and the speeds they gave.
 """
 
 from __future__ import annotations
@@ -99,9 +99,9 @@ SIGMA_M_S = 0.001  # of a beat's speed that tells none
 @dataclass(frozen=True)
 class TrialSpeeds:
     """All arrays have one value per beat. ``amplitude_rad``: as the tail did it (saturated; 0 where
-    the swim was over). ``speed_m_s``: measured over ground, NaN = not measured. ``sigma_m_s``: its
+    the trial was over). ``speed_m_s``: measured over ground, NaN = not measured. ``sigma_m_s``: its
     standard deviation, the measurement's alone. ``reference_crc``, ``trial``: 0 = unknown.
-    ``swum_beats``: how many were swum before an early end; None = all."""
+    ``swum_beats``: how many were executed before an early end; None = all."""
 
     amplitude_rad: F64
     speed_m_s: F64
@@ -115,7 +115,7 @@ class TrialSpeeds:
 
     @property
     def beats(self) -> int:
-        """Length of the swim."""
+        """Length of the trial."""
         return len(self.amplitude_rad)
 
     @property
@@ -147,8 +147,8 @@ def trial_speeds(trial: Trial) -> TrialSpeeds:
 
 
 def last_input(swims: Sequence[TrialSpeeds], beats: int) -> F64:
-    """The amplitudes that were swum last, beat by beat, by ``swims`` of one reference: what lies
-    beyond an early end is of an earlier swim, NaN where no swim came so far."""
+    """The amplitudes that were executed last, beat by beat, by ``swims`` of one reference: what
+    lies beyond an early end is of an earlier trial, NaN where no trial came so far."""
     amplitude = np.full(beats, np.nan)
     for swim in swims:
         end = beats if swim.swum_beats is None else swim.swum_beats

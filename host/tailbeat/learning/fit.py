@@ -1,9 +1,9 @@
-"""The four numbers of a fish from its swims, with priors and error bars.
+"""The four numbers of a fish from its trials, with priors and error bars.
 
-Maximum a posteriori over (log kappa, log slope, dead zone, delay), shared by all swims, and for
+Maximum a posteriori over (log kappa, log slope, dead zone, delay), shared by all trials, and for
 each swim its own start speed, flow and gain, which are kept near (0, 0, 1) by what is known of how
 swims differ. Every beat counts by its measurement's sigma and the model's own imperfection. The
-delay is told best by swims whose amplitude changes gently from beat to beat: in a hard step the
+delay is told best by trials whose amplitude changes gently from beat to beat: in a hard step the
 servo hides it.
 
 How far amplitudes carry a fish, and one that is as strong as may still be believed.
@@ -25,8 +25,8 @@ from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of a fish before its swims: a model and how wrong it may be. Sigmas of kappa
-    and slope are relative (of the logarithm)."""
+    """What is believed of a fish before its trials: a model and how wrong it may be. Sigmas of
+    kappa and slope are relative (of the logarithm)."""
 
     model: FishModel = field(default_factory=lambda: FishModel(10.0, 0.219, 0.197, 0.3))
     kappa: float = 0.8
@@ -58,7 +58,7 @@ class Scatter:
 @dataclass(frozen=True)
 class Fit:
     """``covariance``: 4 x 4, of (log kappa, log slope, dead zone, delay). ``conditions``: one per
-    swim. ``residual_m_s``: per swim, measured minus model, NaN where not measured.
+    trial. ``residual_m_s``: per trial, measured minus model, NaN where not measured.
     ``rms_m_s``: of all residuals; ``beats``: how many there are. ``log_evidence``: of the prior, by
     Laplace's approximation; for comparing priors on the same swims and scatter."""
 
@@ -74,7 +74,7 @@ class Fit:
 _ITERATIONS_MAX = 40
 _CONVERGED = 1e-9  # of the cost
 _DELAY_MAX_BEATS = 4.0
-_CONDITIONS = 3  # start, flow, log gain of every swim
+_CONDITIONS = 3  # start, flow, log gain of every trial
 _SHARED = 4
 _KAPPA_RANGE = (0.05, 2000.0)
 _START_SIGMA_MIN_M_S = 1e-4
@@ -87,11 +87,11 @@ def fit(
 ) -> Fit:
     """The most probable model. Raises InputError when no beat has a speed.
 
-    Costs about 5 ms for four swims of 40 beats.
+    Costs about 5 ms for four trials of 40 beats.
     """
     if not any(swim.measured.any() for swim in swims):
         raise InputError(
-            "no beat of these swims has a speed.", "Look at the camera, or upload the speeds."
+            "no beat of these trials has a speed.", "Look at the camera, or upload the speeds."
         )
     problem = _Problem(swims, prior or Prior(), scatter or Scatter())
     return problem.solved(_levenberg_marquardt(problem))
@@ -118,7 +118,7 @@ def bootstrap(
     scatter: Scatter | None = None,
 ) -> list[FishModel]:
     """Models that fit data as these could have come out, too: residuals are drawn anew within each
-    swim, in blocks of three beats, and the conditions from ``scatter``. Deterministic by ``seed``.
+    trial, in blocks of three beats, and the conditions from ``scatter``. Deterministic by ``seed``.
     """
     rng = np.random.default_rng(seed)
     differ = scatter or Scatter()
@@ -165,7 +165,7 @@ def model_of(shared: F64) -> FishModel:
 
 class _Problem:
     """Residuals over sigma and their Jacobian, as functions of one vector: the four shared numbers,
-    then (start, flow, log gain) of every swim."""
+    then (start, flow, log gain) of every trial."""
 
     def __init__(self, swims: Sequence[TrialSpeeds], prior: Prior, scatter: Scatter) -> None:
         self.swims = swims
@@ -189,7 +189,7 @@ class _Problem:
         return Conditions(max(float(start), 0.0), float(flow), math.exp(log_gain))
 
     def evaluated(self, x: F64) -> tuple[F64, F64]:
-        """(residuals, Jacobian): the prior's rows first, then the measured beats of every swim."""
+        """(residuals, Jacobian): the prior's rows first, then the measured beats of every trial."""
         model = model_of(x[:_SHARED])
         prior = (x - self.centre) / self.spread
         rows, slopes = [prior], [np.diag(1 / self.spread)]

@@ -1,10 +1,10 @@
-"""Whether something other than its tail moved the fish in a swim: a hand, the wall, a wave.
+"""Whether something other than its tail moved the fish in a trial: a hand, the wall, a wave.
 
-The swim is its own measure: a fish in four numbers (model.fishmodel) is fitted to it without the
+The trial is its own measure: a fish in four numbers (model.fishmodel) is fitted to it without the
 beats that do not fit, and what it misses must not jump from one beat to the next. Nothing need be
 known of the fish. On the simulated tank, seeds 1 to 20, trials 1 to 10 from a first input near
-the dead zone, the largest jump of 200 swims was 2.6 mm/s; of 200 that were pushed by 50 mm/s at
-any beat, 22.9 to 39.6, all flagged. Of 78 swims of 13 other fish, references and cameras none was
+the dead zone, the largest jump of 200 trials was 2.6 mm/s; of 200 that were pushed by 50 mm/s at
+any beat, 22.9 to 39.6, all flagged. Of 78 trials of 13 other fish, references and cameras none was
 flagged (noise 5 mm, every third picture lost: 15.9 mm/s, of 34 allowed). A push whose trace is
 gone within the beat is not found: at kappa 30 / m and 90 mm/s one of 50 mm/s leaves 8 mm/s.
 
@@ -30,7 +30,7 @@ from tailbeat.learning.identification import Identified, ThesisFish
 from tailbeat.learning.identification_runs import STILL_M_S, identify_swims
 
 _JUMP_M_S = 0.012  # what people do to a fish is more
-_SCATTERS = 5.0  # of the jumps in this swim; 4.9 is the most that chance made of 200
+_SCATTERS = 5.0  # of the jumps in this trial; 4.9 is the most that chance made of 200
 _SIGMAS = 6.0  # of a beat's measurement
 _BEATS_MIN = 6  # fewer follow any model
 _FITS = 4
@@ -48,7 +48,7 @@ class Disturbance:
     by_m_s: float
 
     def words(self) -> str:
-        """For the person who is asked whether the swim counts."""
+        """For the person who is asked whether the trial counts."""
         verb = "jumps" if len(self.beats) == 1 else "jump"
         return f"{spans(self.beats)} {verb} by {self.by_m_s * 1e3:+.0f} mm/s: a bump or a wave?"
 
@@ -137,8 +137,8 @@ class SwimAccount(TrialSpeeds):
 
 @dataclass(frozen=True)
 class Account:
-    """``steady``: (amplitude_rad, speed_m_s) of the steady parts of the swims. ``battery_v``:
-    lowest and highest of the swims."""
+    """``steady``: (amplitude_rad, speed_m_s) of the steady parts of the trials. ``battery_v``:
+    lowest and highest of the trials."""
 
     identified: Identified
     rms_m_s: float
@@ -189,7 +189,7 @@ class Account:
 
 
 def account_of(identified: Identified, prior: Prior | None = None) -> Account:
-    """The account of a fish identified from swims, with the prior it was identified with."""
+    """The account of a fish identified from trials, with the prior it was identified with."""
     swims = identified.swims
     found = fit(swims, prior, identified.scatter)
     accounts = [

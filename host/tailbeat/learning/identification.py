@@ -1,4 +1,4 @@
-"""What is known of one fish: its model, models as likely, how its swims scatter. A JSON file.
+"""What is known of one fish: its model, models as likely, how its trials scatter. A JSON file.
 
 A fish from a table of steady speeds: the thesis's drag coefficient, and a line through the rows.
 
@@ -205,7 +205,7 @@ class SpeedTable:
         return (
             f"alpha/M = {self.kappa_thesis_per_m:.0f} 1/m is a time constant of "
             f"{self.coast_s * 1e3:.0f} ms; a swimming fish coasts for seconds. Steady speeds "
-            "cannot tell: kappa and delay are assumed until runs are swum."
+            "cannot tell: kappa and delay are assumed until runs are executed."
         )
 
     def rows(self) -> list[dict[str, float]]:

@@ -1,8 +1,9 @@
 """Runs that tell what a fish is like: three cruises and a coast-down, within the tank.
 
-Pure planning: how a run is swum is the caller's. Every run is sized by the best model so far and by
-its pessimistic edge; the gentlest comes first, and what a run teaches sizes the next. Amplitudes
-rise beat by beat to the cruise, because a hard step says little of the delay (see ``fitting``).
+Pure planning: how a run is executed is the caller's. Every run is sized by the best model so far
+and by its pessimistic edge; the gentlest comes first, and what a run teaches sizes the next.
+Amplitudes rise beat by beat to the cruise, because a hard step says little of the delay (see
+``fitting``).
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ class IdentificationSeries:
 
     @property
     def done(self) -> bool:
-        """Whether three cruises and the coast-down are swum."""
+        """Whether three cruises and the coast-down are executed."""
         return self.stage > len(FRACTIONS)
 
     @property
@@ -236,9 +237,9 @@ def identify_runs(
 ) -> Identified:
     """Swims the runs by ``swim(amplitude per beat, rad)`` and fits the fish to them.
 
-    ``on_run`` is told of each run before it is swum. ``quick``: the models as likely are drawn from
-    the fit's normal posterior only, not from a bootstrap too (a hundredth of the time). Whatever
-    ``swim`` or ``on_run`` raises passes through.
+    ``on_run`` is told of each run before it is executed. ``quick``: the models as likely are drawn
+    from the fit's normal posterior only, not from a bootstrap too (a hundredth of the time).
+    Whatever ``swim`` or ``on_run`` raises passes through.
     """
     course = IdentificationSeries(limits, prior or Prior(), scatter or Scatter())
     while not course.done:
@@ -262,7 +263,7 @@ def identify_swims(
     found = fit.fit(swims, prior, scatter)
     models = fit.sample(found, _MODELS)
     if not quick:
-        # Alone either is a little narrow: the bootstrap when a few swims happen to be alike, the
+        # Alone either is a little narrow: the bootstrap when a few trials happen to be alike, the
         # posterior when the model leaves something out.
         models += fit.bootstrap(swims, found, _MODELS, prior=prior, scatter=scatter)
     return Identified.of(found, models, list(swims), source, unique_id, scatter)

@@ -1,12 +1,12 @@
 """What a law is expected to do over many trials, and what one more trial is expected to do, by
-models of the identified set and the scatter of swims.
+models of the identified set and the scatter of trials.
 
 What a law does to small errors, by the linearised fish: ratios per iteration over frequency, and
 the norm of one step in the input error.
 
 Around a steady cruise the beat means follow the amplitudes by G. A step of the law turns errors of
 frequency w into Q(w)*(1 - gain*z**lead*G(w)) times themselves, so a largest absolute value below 1
-means that errors of every frequency shrink. Around a whole swim, in the amplitudes of its beats,
+means that errors of every frequency shrink. Around a whole trial, in the amplitudes of its beats,
 the same step is the matrix Q*(I - gain*S*G) with S the lead. Clipping amplitudes to what the tail
 can do never takes two inputs further apart (thesis, Property 1), so its norm bounds the saturated
 law, too, which no output error does.
@@ -96,11 +96,11 @@ def next_ratio(
     identified: Identified, reference: Reference, swim: TrialSpeeds, amplitude_rad: F64
 ) -> tuple[float, float]:
     """90 % interval of (max|e| of the next trial with ``amplitude_rad``) / (that of ``swim``), by
-    the models of the set and the scatter of swims.
+    the models of the set and the scatter of trials.
 
     ``amplitude_rad``: as the tail will do it, one per beat. What ``swim`` differs from a model is
-    divided into what will come again (the model's imperfection) and what was of that swim alone
-    (its gain, flow, start and measurement) by how likely each is; models that explain the swim
+    divided into what will come again (the model's imperfection) and what was of that trial alone
+    (its gain, flow, start and measurement) by how likely each is; models that explain the trial
     badly count less. A sigma that is not known is taken to be the others'. The ends are taken at 3
     and 97 %: the fish itself is never in the set.
     Deterministic. Raises InputError when no beat of ``swim`` was measured.
@@ -108,7 +108,7 @@ def next_ratio(
     wanted = reference.speed_m_s.astype(np.float64)
     seen = swim.measured
     if not seen.any():
-        raise InputError("no beat of the swim has a speed.", "Upload the speeds of the trial.")
+        raise InputError("the trial has no speed.", "Upload the speeds of the trial.")
     swim = _with_sigmas(swim)
     before = float(np.abs(wanted - swim.speed_m_s)[seen].max())
     rng = np.random.default_rng(_SEED)
@@ -130,7 +130,7 @@ def next_ratio(
 
 
 def _with_sigmas(swim: TrialSpeeds) -> TrialSpeeds:
-    """Unmeasured beats may have none; the next swim will measure them, too."""
+    """Unmeasured beats may have none; the next trial will measure them, too."""
     known = np.isfinite(swim.sigma_m_s)
     usual = float(np.median(swim.sigma_m_s[known])) if known.any() else SIGMA_M_S
     return replace(swim, sigma_m_s=np.where(known, swim.sigma_m_s, usual))
@@ -143,7 +143,7 @@ class _Guess:
 
     model: FishModel
     misfit_m_s: F64  # measured minus model, (seen,)
-    conditions: F64  # beat means by a swim's own gain, start and flow, one sigma each, (beats, 3)
+    conditions: F64  # beat means by a trial's own gain, start and flow, one sigma each, (beats, 3)
     repeats: F64
     alone: F64
     inverse: F64  # of the misfit's covariance, (seen, seen)
@@ -166,7 +166,7 @@ class _Guess:
     def next_speeds(
         self, amplitude_rad: F64, swim: TrialSpeeds, scatter: Scatter, count: int, rng: Generator
     ) -> F64:
-        """Measured speeds of ``count`` possible next swims, shape (count, beats)."""
+        """Measured speeds of ``count`` possible next trials, shape (count, beats)."""
         beats, seen = len(self.repeats), swim.measured
         again = rng.standard_normal((count, beats)) * np.sqrt(self.repeats)
         own = self._own(self.conditions, count, rng)
@@ -187,7 +187,7 @@ class _Guess:
 def _imperfection(
     model: FishModel, scatter: Scatter, swim: TrialSpeeds, misfit: F64, conditions: F64
 ) -> F64:
-    """Variance per beat of what the model leaves out; more than usual when the swim shows it."""
+    """Variance per beat of what the model leaves out; more than usual when the trial shows it."""
     seen = swim.measured
     usual = beat_sigma(swim, model, scatter) ** 2 - swim.sigma_m_s**2
     explained = np.sum(swim.sigma_m_s[seen] ** 2) + np.sum(conditions[seen] ** 2)
@@ -224,7 +224,7 @@ def response(model: FishModel, speed_m_s: float, beat_s: float, beats: int = 64)
     """Impulse response of beat means to the amplitude of one beat, at a steady speed, m/s/rad.
 
     Shape (beats,), the beat itself first; its sum is the map's slope. Exact: the model's own
-    derivative, taken after the begin of the swim is forgotten. Raises InputError for a speed of 0,
+    derivative, taken after the begin of the trial is forgotten. Raises InputError for a speed of 0,
     around which the beat means do not follow small changes.
     """
     if not speed_m_s > 0:
@@ -348,7 +348,7 @@ def filter_matrix(beats: int, q_len: int) -> F64:
 
 
 def swim_jacobian(model: FishModel, amplitude_rad: F64, beat_s: float) -> F64:
-    """d beat means / d amplitudes around a swim from rest, shape (beats, beats), m/s/rad."""
+    """d beat means / d amplitudes around a trial from rest, shape (beats, beats), m/s/rad."""
     steady = model.steady_m_s(amplitude_rad)
     _, by_w, _ = model.distance(steady**2, beat_s, slopes=True)
     assert by_w is not None
@@ -367,7 +367,7 @@ def input_norm(
     keep_tail: bool = False,
 ) -> float:
     """||Q(I - gain*S*G)||_2 of one step from errors of the amplitudes of ``beats`` alone to those
-    of all beats; G around the swim of ``amplitude_rad``. One step puts errors into other beats,
+    of all beats; G around the trial of ``amplitude_rad``. One step puts errors into other beats,
     too, so it says nothing of the next one."""
     count = len(amplitude_rad)
     jacobian = swim_jacobian(model, amplitude_rad, beat_s)

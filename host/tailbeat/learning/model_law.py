@@ -1,12 +1,12 @@
-"""Learning with the model: the next amplitudes from everything that was ever swum.
+"""Learning with the model: the next amplitudes from everything that was ever executed.
 
 A pure function of raw data, so that every decision can be made again from the trial files:
-re-fit the four numbers on all swims (prior: the identified model, narrow or wide, as the swims are
-likelier), estimate what repeats and the
+re-fit the four numbers on all trials (prior: the identified model, narrow or wide, as the trials
+are likelier), estimate what repeats and the
 model does not explain (a Kalman filter along the iterations, per beat, for this reference; a new
 one takes over the map, the drag, the delay and a flow that repeats), plan, predict with a band.
 When what was measured lies outside of what was predicted, the model is refuted and the next step is
-P with the designed gain and lead, until a fit on the swims since then predicts one again.
+P with the designed gain and lead, until a fit on the trials since then predicts one again.
 
 Where an input came from: everything a proposal was made of, as JSON, and the way to make it
 again from that and the trials.
@@ -36,7 +36,7 @@ from tailbeat.learning.planner import plan
 
 FALLBACK = Law(kp_rad_s_m=4.0, lead_beats=1)
 # Between least squares (2) and minimax (infinity). The largest error is what a fish is judged by,
-# and a plan that draws the largest ones together leaves room for the scatter of swims; 6 gains
+# and a plan that draws the largest ones together leaves room for the scatter of trials; 6 gains
 # nearly all of that and costs little elsewhere.
 PLAN_POWER = 6.0
 _NO_THRUST = 0.75  # of the dead zone: pushes nothing even if that is smaller than believed
@@ -53,7 +53,7 @@ _WORDS = {
 class Proposal:
     """The next input and why. ``law``: ``model``, or ``p`` when the model was refuted.
     ``low_m_s``/``high_m_s``: 90 % band of the beats' measured speeds. ``trials``: numbers of the
-    swims that the model rests on. ``chance``: of a swim as odd as the last one, by its prediction.
+    trials that the model rests on. ``chance``: of a swim as odd as the last one, by its prediction.
     ``limited_beats``: where the step limit holds the amplitude back. ``reason``: one line for
     people."""
 
@@ -79,12 +79,12 @@ def propose(
     fallback: Law | None = None,
     step_max_rad: float = 0.0,
 ) -> Proposal:
-    """``swims``: all that were swum since the identification, oldest first, of this reference (by
-    CRC) and others. ``fallback``: the P law (default: gain 4, lead 1 beat). ``step_max_rad``: the
-    most a beat's amplitude may differ from that of the last swim of this reference, 0 = any.
+    """``swims``: all that were executed since the identification, oldest first, of this reference
+    (by CRC) and others. ``fallback``: the P law (default: gain 4, lead 1 beat). ``step_max_rad``:
+    the most a beat's amplitude may differ from that of the last trial of this reference, 0 = any.
 
-    Costs some 10 ms, and 15 ms per swim of 40 beats. Raises InputError when
-    ``amplitude_max_rad`` makes no sense or a swim has other beats than the reference it names.
+    Costs some 10 ms, and 15 ms per trial of 40 beats. Raises InputError when
+    ``amplitude_max_rad`` makes no sense or a trial has other beats than the reference it names.
     """
     belief = believe(identified, swims)
     wanted = reference.speed_m_s.astype(np.float64)
@@ -147,7 +147,7 @@ def _swims_of(reference: Reference, swims: Sequence[TrialSpeeds]) -> list[TrialS
 
 
 def _limits(recorded: F64, amplitude_max_rad: float, step_max_rad: float) -> tuple[F64, F64]:
-    """Of each beat's amplitude; a beat that was never swum may have any."""
+    """Of each beat's amplitude; a beat that was never executed may have any."""
     step = step_max_rad if step_max_rad > 0 else np.inf
     low = np.clip(np.nan_to_num(recorded - step, nan=0.0), 0.0, amplitude_max_rad)
     high = np.clip(np.nan_to_num(recorded + step, nan=np.inf), 0.0, amplitude_max_rad)
@@ -156,7 +156,7 @@ def _limits(recorded: F64, amplitude_max_rad: float, step_max_rad: float) -> tup
 
 def _ready(amplitude_rad: F64, model: FishModel, amplitude_max_rad: float) -> F64:
     """Beats without thrust wag as much as surely pushes nothing: from 0 a limited step could end
-    inside the dead zone, swim after swim, and the beat would never push again."""
+    inside the dead zone, swim after trial, and the beat would never push again."""
     return np.maximum(amplitude_rad, min(_NO_THRUST * model.dead_zone_rad, amplitude_max_rad))
 
 
@@ -187,7 +187,7 @@ def _planned(
 def _p_step(
     law: Law, amplitude_max_rad: float, wanted: F64, last: TrialSpeeds, start_rad: F64
 ) -> F64:
-    """The P law applied to a swim: from ``start_rad``, by its errors."""
+    """The P law applied to a trial: from ``start_rad``, by its errors."""
     limited = replace(law, amplitude_max_rad=amplitude_max_rad, beat_s=last.beat_s)
     error, measured = laws.errors_of(wanted, last.speed_m_s)
     following, _ = laws.update(limited, start_rad, error, measured)
@@ -195,7 +195,7 @@ def _p_step(
 
 
 def _sigma(identified: Identified, swims: Sequence[TrialSpeeds]) -> float:
-    """What the next swim will probably be measured with."""
+    """What the next trial will probably be measured with."""
     for swim in [*identified.swims, *swims][::-1]:
         known = swim.sigma_m_s[np.isfinite(swim.sigma_m_s)]
         if known.size:
@@ -206,10 +206,10 @@ def _sigma(identified: Identified, swims: Sequence[TrialSpeeds]) -> float:
 def _reason(belief: Belief, law: str) -> str:
     count = len(belief.swims)
     if law == "p":
-        return "the last swim was not as the model said: a step by P, and the fit begins anew"
+        return "the last trial was not as the model said: a step by P, and the fit begins anew"
     if not count:
-        return "planned with the identified model, before any swim"
-    text = f"re-fitted on {count} swim{'s' if count > 1 else ''}"
+        return "planned with the identified model, before any trial"
+    text = f"re-fitted on {count} trial{'s' if count > 1 else ''}"
     moved = _moved(belief)
     return f"{text}: {', '.join(moved)}" if moved else text
 
@@ -304,7 +304,7 @@ def _named(names: Sequence[dict[str, Any]], swims: Sequence[TrialSpeeds]) -> lis
 
 
 def swim_crc(swim: TrialSpeeds) -> int:
-    """CRC-32 of all that the model learns from a swim."""
+    """CRC-32 of all that the model learns from a trial."""
     crc = zlib.crc32(f"{swim.trial} {swim.reference_crc} {swim.beat_s!r}".encode())
     for values in (swim.amplitude_rad, swim.speed_m_s, swim.sigma_m_s):
         crc = zlib.crc32(np.nan_to_num(values, nan=-1.0).astype("<f8").tobytes(), crc)

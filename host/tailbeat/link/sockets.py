@@ -124,7 +124,7 @@ class TcpTransport:
         self._head = (self._head + data)[:_HEAD_MAX_BYTES]
         if (line := _TAKEN_LINE.fullmatch(self._head)) is None:
             return None
-        remedy = "Go on in that program; any key there stops a swim"
+        remedy = "Go on in that program; any key there stops a trial"
         if line[1] is not None:
             console = f"tcp:{self.host}:{int(line[1])}"
             remedy += f", and so does: tailbeat stop --connect {console}"

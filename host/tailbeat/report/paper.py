@@ -190,7 +190,7 @@ def _tables(experiment: Experiment, analyses: Sequence[Analysis], folder: Path) 
 
 
 def _comparison_table(analyses: Sequence[Analysis], path: Path) -> Path:
-    """One row per other experiment and measure, this one less the other; none where too few swims
+    """One row per other experiment and measure, this one less the other; none where too few trials
     count."""
     import csv
 

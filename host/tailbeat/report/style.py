@@ -221,7 +221,7 @@ def earlier_words(analyses: Sequence[Analysis]) -> str:
     ]
     if not parts:
         return ""
-    return f" The board began anew; swims before that, not in this figure: {', '.join(parts)}."
+    return f" The board began anew; trials before that, not in this figure: {', '.join(parts)}."
 
 
 def simulated_mark(analyses: Sequence[Analysis]) -> str:
@@ -342,13 +342,13 @@ _WORDS = {
     "incomplete": "incomplete",
     "discarded": "discarded",
 }
-_SPREAD = 0.42  # of an iteration, over which its swims lie side by side
+_SPREAD = 0.42  # of an iteration, over which its trials lie side by side
 _STEP = 0.13
 _LANES = 0.6  # of an iteration, over which conditions lie side by side
 
 
 def kind_of(row: TrialRow) -> str:
-    """One of ``KINDS``. A swim whose amplitudes swam before, and that nothing was learned from, is
+    """One of ``KINDS``. A trial whose amplitudes swam before, and that nothing was learned from, is
     a repeat; one that was cut short, or lacks the speeds of too many beats, is incomplete."""
     if row.undecided:
         return "undecided"
@@ -361,8 +361,8 @@ def kind_of(row: TrialRow) -> str:
 
 
 def places(rows: Sequence[TrialRow], at: int = 0, of: int = 1) -> list[float]:
-    """Where each swim lies on the axis of iterations: those of one iteration side by side in the
-    order they were swum, and condition ``at`` of ``of`` beside the others."""
+    """Where each trial lies on the axis of iterations: those of one iteration side by side in the
+    order they were executed, and condition ``at`` of ``of`` beside the others."""
     together: dict[int, list[int]] = defaultdict(list)
     for index, row in enumerate(rows):
         together[row.iteration].append(index)
@@ -381,7 +381,7 @@ def lane(at: int, of: int) -> tuple[float, float]:
 
 
 def marker(kind: str, look: Look, size: float = 4.0) -> dict[str, Any]:
-    """How a swim of that kind is drawn."""
+    """How a trial of that kind is drawn."""
     if kind == "discarded":
         return {"marker": "x", "ms": size, "mec": FAINT, "mew": 0.8, "ls": "", "zorder": 2}
     if kind == "undecided":

@@ -50,7 +50,7 @@ class FishChange:
     repeat's speed less the best's, with its standard error. ``low_m_s`` to ``high_m_s``: max|e|
     that a repeat has in 95 of 100 cases. ``thrust``: the repeat's speeds over those before, by the
     model; ``thrust_low`` to ``thrust_high``: the same of 95 of 100 repeats; ``against``: over how
-    many swims. ``within``: the repeat is in both bands. ``words``: what it means and what to do,
+    many trials. ``within``: the repeat is in both bands. ``words``: what it means and what to do,
     which ``remedy`` names."""
 
     best_trial: int
@@ -77,7 +77,7 @@ def change_of(
     identified: Identified | None = None,
     straight: HeadingDrift | None = None,
 ) -> FishChange:
-    """``series``: what was swum of this reference before, without the discarded. ``model``: the
+    """``series``: what was executed of this reference before, without the discarded. ``model``: the
     identified fish's, or the board's. Raises InputError when none of them swam the repeat's
     amplitudes."""
     scores = [score_of(trial) for trial in series]
@@ -131,7 +131,7 @@ def _nothing_to_compare() -> InputError:
     return InputError(
         "no trial of the experiment swam the board's best amplitudes: there is nothing to compare"
         " a repeat with.",
-        "Name the experiment they were swum in, or go on: tailbeat trial run",
+        "Name the experiment they were executed in, or go on: tailbeat trial run",
     )
 
 
@@ -212,7 +212,7 @@ def _alike(trial: Trial, repeat: Trial) -> bool:
 
 
 def _half_width(relative: F64, expected_sigma: float) -> float:
-    """Of the 95 % band of one more swim. What was seen is pooled with what is expected, which
+    """Of the 95 % band of one more trial. What was seen is pooled with what is expected, which
     counts as four degrees of freedom; never narrower than expected."""
     from statistics import NormalDist
 
@@ -223,7 +223,7 @@ def _half_width(relative: F64, expected_sigma: float) -> float:
     squares = float(np.sum((relative - relative.mean()) ** 2))
     together = _PRIOR_FREEDOM + freedom
     sigma = math.sqrt((_PRIOR_FREEDOM * prior**2 + squares) / together)
-    usual = expected_sigma * -NormalDist().inv_cdf(_TAIL)  # a few swims may be alike by chance
+    usual = expected_sigma * -NormalDist().inv_cdf(_TAIL)  # a few trials may be alike by chance
     half = max(float(t.ppf(1 - _TAIL, together)) * sigma, usual)
     return half * math.sqrt(1 + 1 / len(relative))
 

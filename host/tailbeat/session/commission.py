@@ -264,7 +264,7 @@ class _Session:
         if isinstance(found, str):
             return CommissionStep("limits", True, found)
         assert self.identified is not None
-        text = f"{found.text}. One short swim proves it. {_HANDS}"
+        text = f"{found.text}. One short trial proves it. {_HANDS}"
         self._ask(text, f"{found.name} stays {found.was:.2f}")
         proof = try_limit(
             self.fish,

@@ -89,7 +89,7 @@ def next_limit_increase(
         return f"{stays}: {_servo_words(params, servo, need)}"
     travel = _travel(params, reference, identified, to)
     if not travel.fits:
-        return f"{stays}: no room for more, the swim would come {travel.text()}"
+        return f"{stays}: no room for more, the trial would come {travel.text()}"
     return LimitIncrease(AMP_MAX, now, to, _reason(params, reference, identified, need, to, travel))
 
 
@@ -223,13 +223,13 @@ def assess_limit_trial(trial: Trial, identified: Identified) -> LimitTrial:
     """What the trial says of the amplitude."""
     straight = heading_drift(trial)
     part = slope_of(trial, identified.model)
-    words = f"proved by a swim: {part:.2f} of the speed foretold"
+    words = f"proved by a trial: {part:.2f} of the speed foretold"
     if straight is not None:
         words += f", {straight.text()}"
     if straight is not None and straight.crooked:
         return LimitTrial(words, straight.text(), straight)
     if np.isnan(part):
-        return LimitTrial(words, "its swim has no speeds", straight)
+        return LimitTrial(words, "its trial has no speeds", straight)
     if abs(part - 1) > PREDICTION_ERROR_MAX:
         how = "slower" if part < 1 else "faster"
         why = f"it swam {abs(part - 1):.0%} {how} than foretold: look at servo and tail, identify"
@@ -241,7 +241,7 @@ def _judge(fish: Fish, outcome: TrialOutcome) -> None:
     if outcome.end == "complete":
         return
     raise TailbeatError(
-        f"the swim that was to prove it ended with {outcome.end} after "
+        f"the trial that was to prove it ended with {outcome.end} after "
         f"{outcome.executed_beats} beats; the limit stays.",
         "Put it right, then: tailbeat session commission",
     )

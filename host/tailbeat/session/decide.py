@@ -283,7 +283,7 @@ class Decisions:
     ) -> LearnReport | None:
         number = recorded.outcome.number
         if status.pending_trial != number:
-            return None  # cut before a beat was swum, or carried out before
+            return None  # cut before a beat was executed, or carried out before
         if decision.kind != "keep":
             self.fish.discard(number)
             return None

@@ -54,15 +54,15 @@ def forecast(now_v: float, drains: Sequence[Drain], params: Mapping[str, float])
     critical_v = params.get("BATT_CRIT_V", 0.0)
     if critical_v > 0 and now_v - sag_v < critical_v:
         return (
-            f"the battery will not last: it has {now_v:.2f} V, a swim takes it {sag_v:.2f} V down,"
-            f" and below {critical_v:.2f} V the tail stops; change it before this swim"
+            f"the battery will not last: it has {now_v:.2f} V, a trial takes it {sag_v:.2f} V down,"
+            f" and below {critical_v:.2f} V the tail stops; change it before this trial"
         )
     starts = [*(drain.start_v for drain in recent), now_v]
     fall_v = (starts[0] - starts[-1]) / len(recent)
     low_v = params.get("BATT_LOW_V", 0.0)
     if low_v > 0 and fall_v > 0 and now_v - fall_v < low_v:
         return (
-            f"the battery has {now_v:.2f} V and falls by {fall_v:.2f} V per swim: below"
+            f"the battery has {now_v:.2f} V and falls by {fall_v:.2f} V per trial: below"
             f" {low_v:.2f} V the board will not arm after this one; have a charged one ready"
         )
     return None
@@ -160,7 +160,8 @@ class SessionLog:
         return found
 
     def open_trial(self) -> int | None:
-        """A trial that was begun and is not known to have been swum, or on which nobody decided."""
+        """A trial that was begun and is not known to have been executed, or on which nobody
+        decided."""
         last = self._last(("begun", "swum", "void", "decided", "learned"))
         is_open = last is not None and last["what"] in ("begun", "swum")
         return int(last["trial"]) if is_open and last is not None else None
@@ -285,8 +286,8 @@ RESUME_COMMAND = "tailbeat session resume"
 
 
 class RepeatFile(decode.StrictTable):
-    """``board/repeat.json``: what is to swim next once the repeat is swum, and the repeat's number;
-    there from before the board's amplitudes change until they are back."""
+    """``board/repeat.json``: what is to swim next once the repeat is executed, and the repeat's
+    number; there from before the board's amplitudes change until they are back."""
 
     learned: Hex
     trial: int

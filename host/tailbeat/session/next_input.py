@@ -181,7 +181,7 @@ def trials_since(
 
 def numbering_restarted(every: Sequence[TrialSpeeds], since: Sequence[TrialSpeeds]) -> bool:
     """Whether the board started anew within ``since`` (a part of ``every``): numbers go back, and
-    one names two swims. (Trials that were pulled late go back, too.)"""
+    one names two trials. (Trials that were pulled late go back, too.)"""
     numbers = [swim.trial for swim in since]
     falls = any(after <= before for before, after in pairwise(numbers))
     return falls and len({swim.trial for swim in every}) < len(every)
@@ -224,6 +224,6 @@ def next_step(
 
 
 def upload(fish: Fish, setting: ModelStepSetting, proposal: Proposal) -> None:
-    """The next swim's amplitudes, within the board's limit to the last bit."""
+    """The next trial's amplitudes, within the board's limit to the last bit."""
     limit = np.float32(setting.amplitude_max_rad)
     fish.upload_amplitudes(np.minimum(proposal.amplitude_rad.astype(np.float32), limit))

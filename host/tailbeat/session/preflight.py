@@ -76,8 +76,8 @@ def watch(fish: Fish) -> None:
 
 
 def rested_s(fish: Fish, status: BoardStatus) -> float | None:
-    """How long it has rested at ``status``, at least; None = it has never swum. Of a board that has
-    restarted since only how long it is up is known, of one whose log is gone nothing: 0."""
+    """How long it has rested at ``status``, at least; None = it has never executed. Of a board that
+    has restarted since only how long it is up is known, of one whose log is gone nothing: 0."""
     if status.trial is None:
         return None
     seen = _watches.get(fish)
@@ -108,7 +108,7 @@ def wait_for_rest(
     asked_s = step.elapsed_s
     rested = rested_s(step.fish, status)
     if rested is None:
-        step.tell("it has not swum yet", ok=True)
+        step.tell("it has not executed yet", ok=True)
         return
     while (left_s := rest_s - rested - (step.elapsed_s - asked_s)) > 0:
         step.tell("the water rests", left_s=left_s)

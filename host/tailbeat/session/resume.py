@@ -122,7 +122,7 @@ def _swum(
     if end.why == "swims" and end.rounds:
         return end.rounds[-1].recorded
 
-    raise GivenUp(f"no repeat was swum: {end.words}", f"When it is put right: {RESUME_COMMAND}")
+    raise GivenUp(f"no repeat was executed: {end.words}", f"When it is put right: {RESUME_COMMAND}")
 
 
 @dataclass
@@ -164,7 +164,7 @@ def _left_over(
     """The repeat of an earlier call that was broken off after the trial."""
     number = fish.status().pending_trial
     assert number is not None
-    text = f"trial {number} is the repeat of an earlier call; it is not swum again"
+    text = f"trial {number} is the repeat of an earlier call; it is not executed again"
     operator.tell(Notice(text))
     recorded = recover_trial(fish, account, number)
     operator.tell(TrialRecorded(recorded))
@@ -326,7 +326,7 @@ def restore_params(fish: Fish) -> tuple[dict[str, tuple[float, float]], list[str
 
 
 def _held(experiment: Experiment) -> Snapshot:
-    """The copy; before the first swim what the experiment was made with."""
+    """The copy; before the first trial what the experiment was made with."""
     if (held := held_state(experiment)) is not None:
         return held
     if (reference := reference_of(experiment)) is None:

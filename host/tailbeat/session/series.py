@@ -75,7 +75,7 @@ class Until:
             return cls(int(word))
         raise InputError(
             f"'{text}' says no end of a series.",
-            f"Say {CONVERGED}, {BATTERY} or a number of swims (1 to {_SWIMS_MAX}).",
+            f"Say {CONVERGED}, {BATTERY} or a number of trials (1 to {_SWIMS_MAX}).",
         )
 
 
@@ -121,7 +121,7 @@ class SeriesEnd:
 
     @property
     def records(self) -> list[RecordedTrial]:
-        """The swims, in order."""
+        """The trials, in order."""
         return [one.recorded for one in self.rounds]
 
 
@@ -287,7 +287,7 @@ class _Series:
         if self.log.is_begun(peek_log(fish, experiment, number)):
             return True
         drop_peeked(experiment, number)
-        self.log.void(number, "another swim")
+        self.log.void(number, "another trial")
         self._notice(f"trial {number} on the board is not the one that was begun here; it is left")
         return False
 

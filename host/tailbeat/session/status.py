@@ -22,7 +22,7 @@ from tailbeat.session.log import Drain, SessionLog
 
 @dataclass(frozen=True)
 class SessionStatus:
-    """``battery_start_v``: at rest before the first swim on this battery; ``fall_v``: per swim;
+    """``battery_start_v``: at rest before the first swim on this battery; ``fall_v``: per trial;
     ``trials_left``: until it no longer arms. All None before a trial. ``best_trial`` 0 = none.
     ``problem``: why there is no verdict."""
 
@@ -82,12 +82,12 @@ def _has_rolled_back(experiment: Experiment) -> bool:
 
 
 def fall_per_swim(drains: Sequence[Drain], now_v: float) -> float | None:
-    """How far the battery fell at rest, per swim; None before the first."""
+    """How far the battery fell at rest, per trial; None before the first."""
     return (drains[0].start_v - now_v) / len(drains) if drains else None
 
 
 def swims_left(now_v: float, low_v: float, fall_v: float | None) -> int | None:
-    """Swims that may still begin; None = nobody knows (nothing was swum, it does not fall)."""
+    """Swims that may still begin; None = nobody knows (nothing was executed, it does not fall)."""
     if low_v <= 0 or fall_v is None or fall_v <= 0:
         return None
     if now_v < low_v:
@@ -163,9 +163,14 @@ def assess_series(
     if found is None:
         operator.tell(Notice(f"no assessment: {problem}"))
         return None
-    saturated = "" if found.saturation is None else found.saturation.text
-    operator.tell(Assessed(found.words, found.stop, found.stop_reason, found.advice, saturated))
+    operator.tell(assessed(found))
     return found
+
+
+def assessed(found: Assessment) -> Assessed:
+    """The event that reports an assessment."""
+    saturated = "" if found.saturation is None else found.saturation.text
+    return Assessed(found.words, found.stop, found.stop_reason, found.advice, saturated)
 
 
 def advice(fish: Fish, experiment: Experiment) -> list[str]:
@@ -177,7 +182,7 @@ def advice(fish: Fish, experiment: Experiment) -> list[str]:
     params = fish.params.values()
     trials = SessionLog(experiment).counting()
     if trials and trials[-1].params.get("AMP_MAX_RAD") != params["AMP_MAX_RAD"]:
-        return [f"AMP_MAX_RAD stays {params['AMP_MAX_RAD']:.2f}: no trial was swum with it yet"]
+        return [f"AMP_MAX_RAD stays {params['AMP_MAX_RAD']:.2f}: no trial was executed with it yet"]
     straight = heading_drift(trials[-1]) if trials else None
     rolled_back = _has_rolled_back(experiment)
     found = next_limit_increase(

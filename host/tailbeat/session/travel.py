@@ -83,7 +83,7 @@ def travel_model_of(
     if 2 * np.count_nonzero(swim.measured) < last.executed_beats or swum_m < _TELLING_M:
         return before
     found = fit([swim], prior, before.scatter)
-    # That swim's own gain, flow and start will not come again; what the fit leaves over will.
+    # That trial's own gain, flow and start will not come again; what the fit leaves over will.
     speed = found.model.beats(swim.amplitude_rad, swim.beat_s, found.conditions[0])
     expected_m = float(np.sum(speed[swim.measured])) * swim.beat_s
     more = swum_m / expected_m if expected_m > 0 else math.inf

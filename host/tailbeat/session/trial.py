@@ -422,8 +422,8 @@ def _reconnect(run: _Run) -> None:
     raise LinkLostError(
         f"the link broke during trial {run.number} and did not come back in"
         f" {run.reconnect_s:.0f} s" + (f": {why}" if why else ""),
-        "The board stops by itself and keeps what was swum; bring the radios closer, then look with"
-        " 'tailbeat info' and run the same command again.",
+        "The board stops by itself and keeps what was executed; bring the radios closer, then look"
+        " with 'tailbeat info' and run the same command again.",
     )
 
 

@@ -227,7 +227,7 @@ class TrialCamera:
         return []
 
     def _mourn(self, gone: CameraGone) -> None:
-        self._emit(TrialWarning(f"{gone} The swim has no camera any more."))
+        self._emit(TrialWarning(f"{gone} The trial has no camera any more."))
         self._consult(gone)
         if not self._dispensable:
             self._abort()

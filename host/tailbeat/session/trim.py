@@ -105,7 +105,7 @@ def centre_of(
     sigma = math.hypot(low.sigma_rad_m, high.sigma_rad_m)
     if not abs(apart) > _ALIKE_SIGMAS * sigma:  # also when either is not known
         raise InputError(
-            f"the two swims turned alike ({low.turn_rad_m:+.3f} and {high.turn_rad_m:+.3f} rad/m, "
+            f"the two trials turned alike ({low.turn_rad_m:+.3f} and {high.turn_rad_m:+.3f} rad/m, "
             f"each +- {sigma:.3f}), though the tail beat about two centres.",
             "Look whether tail and servo are firm and the fish is free on all sides, then trim "
             "again; nothing was changed.",
@@ -135,7 +135,7 @@ def _check_reach(centre_us: float, was_us: float, params: Mapping[str, float]) -
 
 @dataclass(frozen=True)
 class TrimPlan:
-    """A short swim: ``amplitude_rad`` per beat of 1 s, the speeds that are predicted."""
+    """A short trial: ``amplitude_rad`` per beat of 1 s, the speeds that are predicted."""
 
     amplitude_rad: F64
     predicted_m_s: F64
@@ -231,7 +231,7 @@ def _belief(fish: Fish, book: TrialLibrary | None) -> TravelModel:
 
 @dataclass(frozen=True)
 class _Log:
-    """A trial that was swum: its file, and the frames with their time from its begin."""
+    """A trial that was executed: its file, and the frames with their time from its begin."""
 
     centre_us: float
     trial: Trial

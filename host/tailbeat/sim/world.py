@@ -102,7 +102,7 @@ class World:
     def set_swim(self, number: float) -> None:
         """The number the next trial's noise is keyed by (1 = first)."""
         if not 1 <= number < 1 << 32 or number != int(number):
-            raise InputError(f"{number:g} is no number of a swim", "1 is the first.")
+            raise InputError(f"{number:g} is no number of a trial", "1 is the first.")
         lib.world_set_swim(self._world, int(number))
 
     def push(self, by_m_s: float) -> None:
@@ -214,7 +214,7 @@ VERBS = {
         Verb("hold S", "something stops the fish and lets it go after S", World.hold),
         Verb("stir M_S", "the water moves along the tank, dying down", World.stir),
         Verb("place X_M Y_M HEADING_RAD", "somebody puts the fish there", World.place),
-        Verb("start M_S", "speed at which the next swim starts", World.set_start),
+        Verb("start M_S", "speed at which the next trial starts", World.set_start),
         Verb("tilt RAD", "rolls the fish", World.set_tilt_rad),
         Verb("battery V", "the pack's voltage from now on", World.set_battery_v),
         Verb(
@@ -243,7 +243,7 @@ VERBS = {
             },
         ),
         Verb("power cycle", "power off and on again", choices={"cycle": World.power_cycle}),
-        Verb("swim NUMBER", "the next swim's noise is that of swim NUMBER", World.set_swim),
+        Verb("swim NUMBER", "the next trial's noise is that of trial NUMBER", World.set_swim),
     )
 }
 

@@ -787,7 +787,7 @@ def test_a_pending_trial(due: Due, image: Path) -> None:
     with Fish(SimTransport(due.board)) as fish:
         run_trial(fish)
     error = untouched(due, image)
-    assert error.message.startswith("trial 3 was swum but not learned from")
+    assert error.message.startswith("trial 3 was executed but not learned from")
     assert due.flash(image, tool="openocd").verified  # it does not touch the store
 
 

@@ -185,7 +185,7 @@ def test_a_session_by_the_command_line(
     assert "Clear it, then learn from the trial: the beat that was too far off counts." in out
     assert tailbeat("board", "clear")[0] == 0
     code, out, _ = tailbeat("trial", "show")
-    assert code == 0 and "not swum: beats 5-11" in out.splitlines()
+    assert code == 0 and "not executed: beats 5-11" in out.splitlines()
     code, out, _ = tailbeat("learn")
     line = "beats 5-11 have never been corrected: ILC_EXTRAP decides what the last ones do"
     assert code == 0 and out.splitlines()[1] == line
@@ -216,4 +216,4 @@ def test_what_is_said_of_visits() -> None:
     assert never_measured([3, 255]) == ""
     assert never_measured([1, 0]).startswith("beat 1 has never been measured")
     assert not_reached(3, [True, True, True]) == ""
-    assert not_reached(2, [True, False, False]) == "not swum: beat 2; without a speed: beat 1"
+    assert not_reached(2, [True, False, False]) == "not executed: beat 2; without a speed: beat 1"

@@ -141,7 +141,7 @@ def test_a_camera_that_freezes_at_the_end_leaves_the_last_of_512_beats_unmeasure
 @given(swims)
 def test_an_exact_imu_between_two_rests_gives_each_beats_mean(swim: Swim) -> None:
     swum_s = swim.beats * swim.beat_s
-    last = int(swum_s / SLOT_S)  # the slot in which the swim ends: from its begin on all is still
+    last = int(swum_s / SLOT_S)  # the slot in which the trial ends: from its begin on all is still
     speeds = np.zeros(swim.slots + 1)
     rise = np.clip(np.arange(last + 1) / 10, 0, 1) * np.clip(
         (last - np.arange(last + 1)) / 10, 0, 1

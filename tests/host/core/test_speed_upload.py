@@ -1,4 +1,4 @@
-"""Speeds measured after the swim: what files may say, and what reaches the board."""
+"""Speeds measured after the trial: what files may say, and what reaches the board."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def test_the_numbers_are_those_of_the_logs(recorded: Experiment, analysis: Analy
 
 
 def test_the_battery_is_that_from_before_the_tail_loaded_it(copy: Experiment) -> None:
-    """A log begins later; of a swim that no ritual preceded it is all there is."""
+    """A log begins later; of a trial that no ritual preceded it is all there is."""
     path = copy.folder / "journal.jsonl"
     entries = [json.loads(line) for line in path.read_text().splitlines()]
     swims = [entry for entry in entries if entry["what"] == "swum"]
@@ -149,7 +149,7 @@ def test_a_swim_that_the_journal_does_not_know_is_undecided(copy: Experiment) ->
 
 
 def made_rows(*swims: Trial, decision: str = "keep", learned: bool | None = True) -> list[TrialRow]:
-    """Made of swims that were never in the water."""
+    """Made of trials that were never in the water."""
     kept = [(Path(f"{at:04d}.ulg"), swim) for at, swim in enumerate(swims)]
     said = Told(decision=decision, learned=learned, recorded=True)
     return rows_of(kept, {path.name: said for path, _ in kept}, True)
@@ -181,7 +181,7 @@ def test_contraction_is_of_the_laws_steps_alone() -> None:
 
 
 def test_a_board_that_began_anew_is_another_epoch() -> None:
-    """Its first amplitudes are the old ones: no repeats of swims under other numbers."""
+    """Its first amplitudes are the old ones: no repeats of trials under other numbers."""
     day = [swum_by(1, 1, 0.04, "first"), swum_by(2, 2, 0.02), swum_by(3, 3, 0.01)]
     anew = [swum_by(1, 1, 0.05, "first"), swum_by(2, 2, 0.03)]
     rows = made_rows(*day, *anew)

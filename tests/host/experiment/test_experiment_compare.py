@@ -224,9 +224,9 @@ def test_only_swims_since_the_board_began_anew_count() -> None:
 
 
 def test_too_few_and_another_reference_are_refused(analysis: Analysis) -> None:
-    with pytest.raises(InputError, match=r"has 1 complete swim of iterations 3 .*1 more time"):
+    with pytest.raises(InputError, match=r"has 1 complete trial of iterations 3 .*1 more time"):
         compare(analysis, analysis, "max", [3])
-    with pytest.raises(InputError, match=r"has 0 complete swims .*2 more times"):
+    with pytest.raises(InputError, match=r"has 0 complete trials .*2 more times"):
         compare(analysis, analysis, "max", [77])
     with pytest.raises(InputError, match="different references"):
         compare(analysis, replace(analysis, reference_crc=1))

@@ -1,4 +1,4 @@
-"""What is learned from swims and what is left to them, and what to expect of the next one."""
+"""What is learned from trials and what is left to them, and what to expect of the next one."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def fish(kappa: float) -> FishModel:
 
 
 def swim(model: FishModel, amplitude: Array, random: np.random.Generator) -> Array:
-    """Errors of a swim that scatters as the tank plant does."""
+    """Errors of a trial that scatters as the tank plant does."""
     start, flow, gain = random.normal(size=3) * (0.002, 0.0015, 0.02)
     given = Conditions(abs(start), flow, 1 + gain)
     noise: Array = random.normal(0, 0.0006, len(amplitude))
@@ -274,7 +274,7 @@ def test_the_reasons_to_stop_and_what_to_do() -> None:
     )
     assert not assess(scored(60, 12.6, 12.3), floor_m_s=0.005).stop
     sure = assess(scored(30, 12, 12.5, 12.8, 12.4, crcs=(1, 2, 3, 2, 2)))
-    assert sure.advice.startswith("done: trial 2's input was swum 3 times, repeats scatter by")
+    assert sure.advice.startswith("done: trial 2's input was executed 3 times, repeats scatter by")
 
 
 def test_a_series_is_not_ended_before_it_begins() -> None:

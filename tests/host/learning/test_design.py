@@ -271,7 +271,7 @@ def test_growth_in_two_trials_is_fast() -> None:
 
 
 def one_step(model: FishModel, law: Law, amplitude: Array) -> Array:
-    """The board's own law after a swim of ``amplitude``, and what the tail then does."""
+    """The board's own law after a trial of ``amplitude``, and what the tail then does."""
     error = WANTED - model.beats(amplitude, 1.0)
     following, _ = laws.update(law, amplitude, error)
     return laws.saturate(law, following).astype(np.float64)
@@ -379,7 +379,7 @@ def test_the_ratio_of_a_quiet_fish_is_the_models() -> None:
 
 
 def test_what_the_model_leaves_out_comes_again() -> None:
-    """A dip of six beats that no condition of the swim explains is expected of its repeat, too."""
+    """A dip of six beats that no condition of the trial explains is expected of its repeat, too."""
     model = tank(10.0)
     still = Scatter(gain=0.0, flow_m_s=0.0, start_m_s=0.0, model_m_s=0.001)
     one = Identified(model, [model], np.zeros((4, 4)), scatter=still)

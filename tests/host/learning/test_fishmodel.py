@@ -20,7 +20,7 @@ CASES = [
     (20.0, 0.75, 0.02, 0.8, 2),
     (414.0, 0.0, 0.0, 1.0, 1),
     (2.5, 0.5, 0.05, 1.0, 2),
-    (10.0, 30.0, 0.05, 1.0, 1),  # the thrust comes after the swim
+    (10.0, 30.0, 0.05, 1.0, 1),  # the thrust comes after the trial
 ]
 
 

@@ -323,7 +323,7 @@ def test_stopped_by_hand_in_a_beat(learned: Fish, board: SimBoard) -> None:
 
 
 def test_the_wall_guard_is_asked(learned: Fish) -> None:
-    """What it stops has told enough, and the next run is swum."""
+    """What it stops has told enough, and the next run is executed."""
     seen: list[object] = []
     runs: list[IdentificationRun] = []
 
@@ -611,7 +611,7 @@ def test_files_of_two_fish_do_not_mix(tmp_path: Path, capsys: pytest.CaptureFixt
     assert run(["session", "identify", "--trials", paths[0], "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["source"], found["saved"]) == ("trials", [])
-    assert found["warnings"]  # one short swim tells little
+    assert found["warnings"]  # one short trial tells little
 
 
 def test_references_of_runs_are_told_apart() -> None:

@@ -52,7 +52,7 @@ def known(model: FishModel, sigma: Sequence[float] = (0.1, 0.02, 0.01, 0.05)) ->
 
 
 class Tank:
-    """One simulated fish; remembers its swims."""
+    """One simulated fish; remembers its trials."""
 
     def __init__(self, seed: int, **settings: float) -> None:
         self.batch = FishBatch("tank", [{"seed": float(seed), **settings}])
@@ -503,7 +503,7 @@ def test_demo_identifies_and_is_at_the_floor_with_its_second_swim(tmp_path: Path
     assert result.floor_lsq_m_s is not None
     for row in result.trials[1:]:
         assert row.true_max_abs_error_m_s is not None
-        assert row.true_max_abs_error_m_s <= 1.2 * result.floor_lsq_m_s  # single swims scatter
+        assert row.true_max_abs_error_m_s <= 1.2 * result.floor_lsq_m_s  # single trials scatter
     experiment = Experiment.open(tmp_path)
     assert experiment.damaged() == []
     assert {"identified.json", "proposal-0001.json"} <= {p.name for p in experiment.raw.iterdir()}

@@ -25,7 +25,7 @@ def known(kappa: float, slope: float = 0.219) -> Identified:
 
 
 def recorded(batch: FishBatch, proposal: Proposal, number: int) -> tuple[TrialSpeeds, float]:
-    """One swim, and its true max|e|."""
+    """One trial, and its true max|e|."""
     found = batch.run(proposal.amplitude_rad[None, :], number)
     error = np.abs(REFERENCE.speed_m_s - found.true_m_s[0]).max()
     swim = TrialSpeeds(

@@ -25,7 +25,7 @@ from tailbeat.learning.saturation import (
 )
 from tailbeat.link.params import known_parameters
 from tailbeat.session.events import Event
-from tailbeat.session.status import report_assessment
+from tailbeat.session.status import assessed
 from tailbeat.session.trial import run_trial
 
 TANK = FishModel(10.0, 0.219, 0.197, 0.3)
@@ -142,6 +142,6 @@ def test_the_page_shows_the_words(series: list[Trial]) -> None:
             self.now = after(self.now, event, "12:00")
 
     page = Listener()
-    report_assessment(page, verdict)  # type: ignore[arg-type]
+    page.tell(assessed(verdict))
     assert verdict.saturation.words in page.now.verdict
     assert "tailbeat params set AMP_MAX_RAD" in page.now.verdict

@@ -45,7 +45,7 @@ def test_vision(tmp_path: Path) -> None:
     error = np.array([error for error, _ in swims])
     sigma = np.array([sigma for _, sigma in swims])
     rms = np.sqrt(np.mean(error**2, axis=1))
-    print(f"RMS of each swim, mm/s: {np.round(1e3 * rms, 2)}")
+    print(f"RMS of each trial, mm/s: {np.round(1e3 * rms, 2)}")
     assert np.all(rms <= RMS_MAX_M_S)
     assert np.mean(np.abs(error) < 2 * sigma) >= 0.9
     assert 0.5 <= np.mean((error / sigma) ** 2) <= 1.5

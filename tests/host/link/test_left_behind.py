@@ -397,7 +397,7 @@ def test_signals_that_are_somebody_elses() -> None:
         signal.signal(signal.SIGHUP, before)
 
 
-# the ritual
+# the preflight checks
 
 
 def test_the_battery_sags_while_it_rests(

@@ -227,7 +227,7 @@ def test_median_and_band(analyses: list[Analysis]) -> None:
     assert [y for _, y in points(figure, "median max")] == pytest.approx(1e3 * band.max_median_m_s)
     assert [y for _, y in points(figure, "median rms")] == pytest.approx(1e3 * band.rms_median_m_s)
     many = np.flatnonzero(band.swims >= 3)
-    assert len(many) == 1  # the two repeats and the swim that was kept
+    assert len(many) == 1  # the two repeats and the trial that was kept
     (one,) = bars(figure, 0, "band max")
     low, high = band.max_low_m_s[many[0]], band.max_high_m_s[many[0]]
     assert one == pytest.approx((band.iteration[many[0]], 1e3 * low, 1e3 * high))
@@ -358,8 +358,8 @@ def test_swims_before_the_board_began_anew_are_not_in_the_figures() -> None:
     assert [row.trial for _, row, _ in trials.chosen(analysis)] == [4, 5]
     for module in (learning, contraction):
         caption = module.caption([analysis])
-        assert "The board began anew; swims before that, not in this figure: 3." in caption
-    assert "over 2 swims" in learning.caption([analysis])
+        assert "The board began anew; trials before that, not in this figure: 3." in caption
+    assert "over 2 trials" in learning.caption([analysis])
     assert headline(analysis).startswith("Largest error over the beats: from 50.0 mm/s")
     shown = page([analysis], Material(), [])
     assert "<td>1 (epoch 1)</td>" in shown and shown.count("(epoch 1)") == 2
@@ -379,7 +379,7 @@ def test_an_undecided_swim_is_shown_as_such() -> None:
 
 
 def test_one_swim_is_not_swims() -> None:
-    assert "over 1 swim." in learning.caption([made.series([0.06])])
+    assert "over 1 trial." in learning.caption([made.series([0.06])])
     assert trials.caption([made.series([0.06])]).startswith("Trial 1 (iteration 1) of 1.")
 
 

@@ -78,7 +78,7 @@ class BadDay(Day):
     bad_s: float = math.nan
 
     def goes_wrong(self, beat: int, act: Callable[[], object]) -> None:
-        """In the middle of that beat of the next swim."""
+        """In the middle of that beat of the next trial."""
 
         def now() -> None:
             self.bad_s = self.board.time_s
@@ -115,7 +115,7 @@ class BadDay(Day):
         assert self.tank.stopped_s - self.bad_s <= limit_s + STOP_S
 
     def require_nothing_lost(self) -> None:
-        """Every swim of the board's is pending, or in the raw files and in the journal."""
+        """Every trial of the board's is pending, or in the raw files and in the journal."""
         fish = self.fish()
         fish.link.run(6.0)  # so long a trial that was cut may take to be pending
         status = fish.status()
@@ -131,7 +131,7 @@ class BadDay(Day):
         open_trial = began[-1]["trial"] if began else None
         for trial in fish.trials():
             there = trial.number in known & files
-            # a swim cut before its first speed is not pending; its log stays on the board
+            # a trial cut before its first speed is not pending; its log stays on the board
             assert there or trial.number in (waiting, open_trial), f"trial {trial.number}"
         assert experiment.damaged() == []
 
@@ -152,7 +152,8 @@ class BadDay(Day):
         assert self.says("session", "resume", "--no-repeat")[0] == 0, self.lines
 
     def require_goes_on(self) -> None:
-        """The same command again ends with a kept swim, and all that was swum is accounted for."""
+        """The same command again ends with a kept trial, and all that was executed is accounted
+        for."""
         self.require_nothing_lost()
         status, document = self.says(*KEEP)
         assert status == 0, self.lines
@@ -334,7 +335,7 @@ def test_a_fish_that_may_swim_unattended_swims_on(day: BadDay) -> None:
     status, document = day.says(*KEEP)
     assert (status, document["swims"][0]["end"]) == (0, "complete")
     assert day.lines == [LOST, ON]
-    cut_the_link(day, 1, 20.0)  # longer than the swim
+    cut_the_link(day, 1, 20.0)  # longer than the trial
     status, document = day.says(*KEEP)
     assert (status, document["swims"][0]["end"]) == (0, "complete")
     assert day.lines == [LOST, BACK]
@@ -618,7 +619,7 @@ def test_a_second_program_aborts_and_clears(day: BadDay, command: tuple[str, ...
 
 
 def moments(last: int, most: int) -> list[int]:
-    """Spread over all waits; the swim and what follows it lie in the second half."""
+    """Spread over all waits; the trial and what follows it lie in the second half."""
     return sorted({1, *np.linspace(2, last, most - 1).astype(int).tolist()})
 
 

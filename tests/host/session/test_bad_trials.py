@@ -57,7 +57,7 @@ BLIND = replace(THESIS, name="thesis limits, no IMU", sim=(("imu_firmware", 0),)
 
 @dataclass
 class Trouble:
-    """What goes wrong in one trial. Times count from the start of the swim."""
+    """What goes wrong in one trial. Times count from the start of the trial."""
 
     before: Callable[[SimBoard], None] = lambda board: None
     see: Callable[[float, Frame], Frame | None] = lambda t_s, frame: frame
@@ -80,7 +80,7 @@ class SpoiltCamera(SimulatedCamera):
         self.acted = False
 
     def t_s(self) -> float:
-        """Since the start of the swim; negative before."""
+        """Since the start of the trial; negative before."""
         if self.start_s is None and self.board.world.truth().swimming:
             self.start_s = self.board.time_s
         return -1.0 if self.start_s is None else self.board.time_s - self.start_s
@@ -166,7 +166,7 @@ class Session:
             return None
 
     def check_amplitudes(self, old: Floats | None) -> None:
-        """Finite, and no further from what was swum than the law can bring them."""
+        """Finite, and no further from what was executed than the law can bring them."""
         new = self.fish.amplitudes().values
         assert new.shape == (BEATS,) and np.all(np.isfinite(new))
         most = GAIN * (PLAUSIBLE_M_S + 0.0791) + 1e-6
@@ -218,7 +218,7 @@ def spread(seed: int, trial: int) -> int:
 
 
 def within(seed: int, trial: int, length_s: float) -> float:
-    """When something of that length begins, so that it ends before the swim does."""
+    """When something of that length begins, so that it ends before the trial does."""
     return spread(seed, trial) / BEATS * (BEATS - length_s) + 0.37 * seed % 1
 
 

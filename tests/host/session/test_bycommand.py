@@ -1,4 +1,4 @@
-"""Commands that decide on a swim and let the board learn, in the experiment the fish is in."""
+"""Commands that decide on a trial and let the board learn, in the experiment the fish is in."""
 
 from __future__ import annotations
 

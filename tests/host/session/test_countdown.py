@@ -1,4 +1,4 @@
-"""The countdown before a swim: told, seen at the LED, and ended in any way."""
+"""The countdown before a trial: told, seen at the LED, and ended in any way."""
 
 from __future__ import annotations
 
@@ -256,7 +256,7 @@ def track_of(frames: list[CameraFrame], fps: float, seed: int) -> Track:
 
 @pytest.mark.parametrize("at_once", [False, True])
 def test_the_code_is_found_behind_a_countdown(at_once: bool) -> None:
-    """The board's own LED under the simulated camera; ``at_once``: the swim cuts the blinking."""
+    """The board's own LED under the simulated camera; ``at_once``: the trial cuts the blinking."""
     beats, fps = 12, 25.0
     with Fish.connect("sim:tank?seed=5", camera_fps=fps) as fish:
         fish.upload_reference(records.encode_reference(1.0, np.full(beats, 0.04)))
@@ -304,7 +304,7 @@ def _start_s(fish: Fish, trial: int) -> float:
 
 @pytest.mark.parametrize(("length", "films"), [(True, 2), (False, 1)])
 def test_hard_films_with_a_countdown_in_them(length: bool, films: int) -> None:
-    """Half hidden, one picture in ten lost, glare; a countdown of 10 s before the swim."""
+    """Half hidden, one picture in ten lost, glare; a countdown of 10 s before the trial."""
     film = LedFilm(before_s=12.0, blink_s=10.0, swim_s=20.0)
     worst_s = 0.0
     for seed in range(films):

@@ -226,7 +226,9 @@ def test_the_whole_of_it(quickly: None, tmp_path: Path, monkeypatch: pytest.Monk
         rests = sum(
             isinstance(e, StepProgress) and e.step == "rest" and e.ok is True for e in somebody.told
         )
-        assert swims >= 8 and counted == rests == swims  # the ritual goes before every one
+        assert (
+            swims >= 8 and counted == rests == swims
+        )  # the preflight checks goes before every one
         blind = [e for e in somebody.told if "not checked" in str(getattr(e, "text", ""))]
         assert blind == [], "its camera looks at every start"
         raises = [one for step in steps for one in step.raises]

@@ -588,7 +588,7 @@ def test_the_laptop_dies_between(swapped: Fish, experiment: Experiment, pool: Po
 
 
 def test_the_laptop_dies_after_the_swim(swapped: Fish, experiment: Experiment, pool: Pool) -> None:
-    """The repeat waits on the board: it is taken, not swum again, and not learned from."""
+    """The repeat waits on the board: it is taken, not executed again, and not learned from."""
     restore(swapped, experiment)
     write_held(experiment, Snapshot("", {}, next_trial=5, learned=pool.learned or b""))
     swapped.restore_best()

@@ -1,4 +1,4 @@
-"""What must be so before a swim, and what is said when it is not."""
+"""What must be so before a trial, and what is said when it is not."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_rest_counts_from_the_end_of_the_last_swim(
     rested_s = ready.sim.board_time_s - over_s
     lefts = countdown_of(operator, "rest")
     print(rested_s, found.rested_s, lefts)
-    # The swim itself ended some SETTLE_S before run_trial returned.
+    # The trial itself ended some SETTLE_S before run_trial returned.
     assert found.rested_s is not None
     assert found.rested_s == pytest.approx(rested_s + 3.0, abs=1.5)
     assert found.rested_s >= 30.0
@@ -152,7 +152,7 @@ def test_no_rest_when_none_is_asked_for_or_it_never_swam(ready: Fish) -> None:
     begin_s = ready.transport.now_s()
     operator = Script()
     prepare(ready, PreflightLimits(rest_s=500.0, still_s=0.0), None, operator)
-    assert operator.texts("rest")[-1] == "it has not swum yet"
+    assert operator.texts("rest")[-1] == "it has not executed yet"
     swim(ready)
     begin_s = ready.transport.now_s()
     prepare(ready, PreflightLimits(rest_s=0.0, still_s=0.0), None, operator)
@@ -426,7 +426,7 @@ def test_out_of_sight_for_long_counts_anew(ready: Fish, blind_s: float, anew: bo
 
 
 def test_a_gap_counts_anew_though_nobody_looked_meanwhile(ready: Fish) -> None:
-    """A bad radio may hold the ritual up for seconds."""
+    """A bad radio may hold the preflight checks up for seconds."""
     camera = Overhead(ready, lies(), seen=lambda t_s: not 8.0 < t_s < 11.0)
     sight = CameraPose(ready, camera, 10.0)
     step = PreflightStep(ready, Script(), "still")

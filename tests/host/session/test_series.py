@@ -1,4 +1,4 @@
-"""A series of swims: what is kept in which order, how it ends, and that nothing is ever lost."""
+"""A series of trials: what is kept in which order, how it ends, and that nothing is ever lost."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def at_rest(fish: Fish, board: SimBoard) -> bool:
 
 
 def require_nothing_lost(fish: Fish, experiment: Experiment) -> None:
-    """Every swim that the board has is pending, or both in the raw files and in the journal."""
+    """Every trial that the board has is pending, or both in the raw files and in the journal."""
     assert experiment.damaged() == []
     known = {entry["trial"] for entry in experiment.journal.entries("swum")}
     files = {trial.number for trial in experiment.trials()}
@@ -370,7 +370,7 @@ def test_rollback_is_told_with_what_it_means(
 ) -> None:
     swim(Script(), swims=3)
     set_meant(fish, experiment, "ROLLBACK_RATIO", 1.001)
-    board.world.set_start(0.15)  # every swim begins with a push
+    board.world.set_start(0.15)  # every trial begins with a push
     operator = Script()
     for _ in range(3):
         board.world.set_start(0.15)
@@ -834,7 +834,7 @@ def test_a_battery_that_falls_is_told_and_journalled(
     assert starts == pytest.approx([7.2, 6.95, 6.7], abs=0.15)
 
 
-# the ritual
+# the preflight checks
 
 
 def test_a_ritual_that_is_given_up(

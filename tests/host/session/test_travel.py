@@ -1,4 +1,4 @@
-"""How far the next swim will come: against the simulator's own way, and what is refused."""
+"""How far the next trial will come: against the simulator's own way, and what is refused."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_nothing_on_the_board_changes_and_arming_makes_what_was_said(tank: Fish)
 
 
 def test_the_step_limit_does_not_shorten_a_swim(tank: Fish, tmp_path: Path) -> None:
-    """DU_MAX_RAD acts when the board learns; what is uploaded is swum up to AMP_MAX_RAD."""
+    """DU_MAX_RAD acts when the board learns; what is uploaded is executed up to AMP_MAX_RAD."""
     tank.params.set("DU_MAX_RAD", 0.05)
     tank.params.set("AMP_MAX_RAD", 0.45)
     tank.upload_reference(reference.cosine(0.06, 3, 2).record())

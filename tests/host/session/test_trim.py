@@ -1,4 +1,4 @@
-"""The tail's centre from two short swims, on the simulated fish; the board gets all back."""
+"""The tail's centre from two short trials, on the simulated fish; the board gets all back."""
 
 from __future__ import annotations
 

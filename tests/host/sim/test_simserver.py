@@ -73,7 +73,7 @@ def test_a_second_client_is_turned_away() -> None:
         console = server.addresses.console
         assert str(told.value) == (
             f"another program is connected to {server.addresses.listen}. Go on in that program; any"
-            f" key there stops a swim, and so does: tailbeat stop --connect {console}."
+            f" key there stops a trial, and so does: tailbeat stop --connect {console}."
         )
         assert fish.info().simulated
         with Fish.connect(console) as wired:  # which is there for both

@@ -74,7 +74,7 @@ class Swum:
         return float(np.nansum(turns))
 
     def seen_heading_rad(self) -> float:
-        """By the camera, at the end of the way: the mean over the last beat that was swum."""
+        """By the camera, at the end of the way: the mean over the last beat that was executed."""
         far = max(picture.x_m for picture in self.pictures)
         last = [p.heading_rad for p in self.pictures if abs(p.x_m - far) < 0.03]
         assert len(last) > 5

@@ -51,7 +51,7 @@ def web(
 @contextlib.contextmanager
 def _board(url: str | None, speed: float) -> Iterator[Callable[[], Fish]]:
     """How to connect. A board that would live in this process gets a time of its own: otherwise its
-    swims would be over before anybody could look."""
+    trials would be over before anybody could look."""
     if url is None or url.partition(":")[0] not in ("sim", "vboard"):
         yield lambda: Fish.connect(url)
         return

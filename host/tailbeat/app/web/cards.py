@@ -317,7 +317,7 @@ class ReferenceCard:
             return
         self._question.set_text(
             f"The fish has learned for {now.iteration} iterations along its present reference."
-            " With another one the board begins from nothing; the swims so far stay as they are."
+            " With another one the board begins from nothing; the trials so far stay as they are."
         )
         self._sure.open()
 

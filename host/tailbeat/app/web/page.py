@@ -120,7 +120,7 @@ class _Page:
             ]
         drawn.append(
             _Chart(
-                "Largest error of each swim",
+                "Largest error of each trial",
                 "One iteration = learned once more. Dotted, once the fish has been identified:"
                 " the floor, below which no amplitudes get.",
                 cards.error_chart,

@@ -1,8 +1,8 @@
-"""The upper part of the page: how things stand, and the button that begins a swim.
+"""The upper part of the page: how things stand, and the button that begins a trial.
 
-The list of swims, newest first, with what can be downloaded of each.
+The list of trials, newest first, with what can be downloaded of each.
 
-What only people know: what becomes of a swim, and yes or no.
+What only people know: what becomes of a trial, and yes or no.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 
 UNTIL = {
-    "1": "one swim",
-    "3": "three swims",
-    "10": "ten swims",
+    "1": "one trial",
+    "3": "three trials",
+    "10": "ten trials",
     "converged": "until nothing more is gained",
     "battery": "until the battery is low",
 }
@@ -106,7 +106,7 @@ class Status:
             self._next = ui.label().classes("travel next")
             self._until = ui.select(UNTIL, value="1", label="How long").props("outlined")
             self._until.classes("until")
-            self._ritual = ui.switch("Look before each swim: rest, pose, still water", value=True)
+            self._ritual = ui.switch("Look before each trial: rest, pose, still water", value=True)
             self._start = ui.button("START", on_click=self._swim).props("unelevated")
             self._start.classes("start")
 
@@ -240,7 +240,7 @@ class _Refusal:
 
 
 class Deciding:
-    """Opens in every browser when a swim is to be decided on, and closes once somebody has."""
+    """Opens in every browser when a trial is to be decided on, and closes once somebody has."""
 
     def __init__(self, worker: Worker) -> None:
         self._shown: RecordedTrial | None = None

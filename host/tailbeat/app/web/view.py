@@ -37,8 +37,8 @@ LOG_LINES = 200
 @dataclass(frozen=True)
 class PageState:
     """What the page shows. ``serial`` grows with every change. ``reference_m_s``, ``speed_m_s``,
-    ``amplitude_rad``: of the swim under way or the last one, one per beat, None for what is not
-    known. ``next_trial``, ``iteration``, ``travel``: of the swim that START begins. ``pending``: a
+    ``amplitude_rad``: of the trial under way or the last one, one per beat, None for what is not
+    known. ``next_trial``, ``iteration``, ``travel``: of the trial that START begins. ``pending``: a
     trial that waits on the board. ``problem``: one line for a person, with what to do. ``fault``:
     why the board stopped, likewise; empty = it has not. ``logged``: lines since the beginning, of
     which ``log`` holds the last. ``done``: how many wishes have been dealt with."""
@@ -106,7 +106,7 @@ def by_status(now: PageState, status: BoardStatus) -> PageState:
 
 
 def by_beat(now: PageState, beat: BeatEvent) -> PageState:
-    """A beat that has been swum, of a swim that somebody else may have started."""
+    """A beat that has been executed, of a trial that somebody else may have started."""
     if beat.trial != now.trial:
         now = _cleared(now, beat.trial)
     return _with_beat(now, beat)
@@ -166,7 +166,7 @@ def _assessment(event: Assessed) -> str:
 
 
 SILENT_S = 3.0
-_BATTERY_MARGIN_V = 0.3  # above BATT_LOW_V: one more swim, then the next battery
+_BATTERY_MARGIN_V = 0.3  # above BATT_LOW_V: one more trial, then the next battery
 
 STATES = {
     "BOOT": "starting",
@@ -298,7 +298,7 @@ def straight(row: TrialRow) -> str:
 
 
 def row_line(row: TrialRow) -> str:
-    """What became of a swim, in words."""
+    """What became of a trial, in words."""
     decision = {"keep": "kept", "repeat": "repeated", "discard": "discarded"}.get(
         row.decision, "not decided"
     )

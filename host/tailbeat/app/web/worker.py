@@ -63,8 +63,8 @@ def simulated_camera(fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]
 class Worker:
     """``connect`` makes the Fish, in the worker's thread; a lost link is connected again, with
     what was wrong in ``now.problem`` meanwhile. ``root``: of new experiments. ``open_camera`` opens
-    the camera for each series. ``wanted``: of the ritual, None = the usual. ``look_s``: how
-    long a wish may lie; ``retry_s``: between two tries to connect."""
+    the camera for each series. ``wanted``: of the preflight checks, None = the usual. ``look_s``:
+    how long a wish may lie; ``retry_s``: between two tries to connect."""
 
     connect: Callable[[], Fish]
     root: Path
@@ -321,7 +321,7 @@ class Worker:
         )
 
     def _look_ahead(self, fish: Fish) -> None:
-        """How far the swim that START begins will come."""
+        """How far the trial that START begins will come."""
         try:
             travel = ""
             if self.now.reference_m_s:
@@ -422,7 +422,7 @@ class Worker:
                 self._say(f"noted: {text}")
             else:
                 notes.put_by(self.root, self.now.unique_id, text, at)
-                self._say(f"noted, for the experiment that the first swim begins: {text}")
+                self._say(f"noted, for the experiment that the first trial begins: {text}")
         except (TailbeatError, OSError) as error:
             self._trouble(error)
 
@@ -449,7 +449,7 @@ class Worker:
 
     def _answered(self, fish: Fish, kind: str, **shown: Any) -> Ask:
         """Waits for an answer; the link is kept meanwhile, as far as there is one. ABORT says no; a
-        swim has still to be decided on."""
+        trial has still to be decided on."""
         self._phase("deciding" if kind == "decide" else "asking", kind, "note", **shown)
         while not self._asks.closed:
             patience_s = self.look_s if fish.sim is not None else 0.0

@@ -326,7 +326,7 @@ def gather(transport: Transport, measure_s: float) -> BoardEvidence:
 
 
 def of_connected(fish: Fish, measure_s: float) -> BoardEvidence:
-    """What matters before a swim, of a fish that is connected: link, battery, IMU."""
+    """What matters before a trial, of a fish that is connected: link, battery, IMU."""
     link = fish.link
     board = BoardEvidence(
         by_radio(fish.transport), in_process(fish.transport) is not None, ping(link, measure_s)

@@ -70,8 +70,8 @@ def require_quiet(fish: Fish, wipes: bool) -> None:
         )
     if wipes and status.pending_trial is not None:
         raise InputError(
-            f"trial {status.pending_trial} was swum but not learned from, and that cannot be put"
-            " back onto the board",
+            f"trial {status.pending_trial} was executed but not learned from, and that cannot be"
+            " put back onto the board",
             "Finish it first: tailbeat learn, or tailbeat trial discard",
         )
 

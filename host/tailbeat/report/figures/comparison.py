@@ -1,4 +1,4 @@
-"""Conditions side by side: the swims that count, their means, and what the difference is."""
+"""Conditions side by side: the trials that count, their means, and what the difference is."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tailbeat.report.style import (
 )
 
 _LINE = 1.3  # of text, in heights of it
-_STRIP = 0.12  # half the width the swims are spread over
+_STRIP = 0.12  # half the width the trials are spread over
 
 
 def verdicts(analyses: Sequence[Analysis]) -> list[str]:
@@ -68,7 +68,7 @@ def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
         axes = figure.subplots()
         any_shown = [_strip(axes, analysis, at) for at, analysis in enumerate(analyses)]
         if not any(any_shown):
-            nothing(axes, "no swim counts", style)
+            nothing(axes, "no trial counts", style)
         _axes(axes, analyses, style)
         figure.text(
             0.012, 0.35 * foot / 72 / figure.get_figheight() / max(1, len(lines)), "\n".join(lines),
@@ -122,7 +122,7 @@ def caption(analyses: Sequence[Analysis]) -> str:
         for name, analysis in zip(labels(analyses), analyses, strict=True)
     )
     return (
-        f"Comparison of conditions ({sizes}). Open: every swim that counts; filled: mean with its "
+        f"Comparison of conditions ({sizes}). Open: every trial that counts; filled: mean with its "
         f"95 % interval (Student's t). {' '.join(verdicts(analyses))} Intervals of differences by "
         f"Welch.{earlier_words(analyses)}"
     )

@@ -42,7 +42,7 @@ _ROLLED: dict[str, Any] = {
 
 
 def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
-    """max|e| of every swim over that of the iteration before, with what noise alone does."""
+    """max|e| of every trial over that of the iteration before, with what noise alone does."""
     with drawing(style):
         figure = blank(analyses, style, 0.062 if style.wide else 0.058)
         axes = figure.subplots()
@@ -106,7 +106,7 @@ def alternative(analyses: Sequence[Analysis]) -> str:
 def caption(analyses: Sequence[Analysis]) -> str:
     """What the figure shows and where a ratio means nothing."""
     text = (
-        "Contraction: max|e| of a kept swim over that of the last kept swim of the iteration "
+        "Contraction: max|e| of a kept trial over that of the last kept trial of the iteration "
         "before, where its amplitudes are what the law learned from that; below 1 the error "
         "shrank. "
     )
@@ -120,6 +120,6 @@ def caption(analyses: Sequence[Analysis]) -> str:
         for a in known
     )
     return (
-        f"{text}Grey: where 95 % of the ratios of two swims of one input lie, 1 ± t·√2·σ over the "
+        f"{text}Grey: where 95 % of the ratios of two trials of one input lie, 1 ± t·√2·σ over the "
         f"error before, {sigma}; a ratio in there proves nothing.{earlier_words(analyses)}"
     )

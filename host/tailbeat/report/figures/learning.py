@@ -1,4 +1,4 @@
-"""The error of every swim, iteration by iteration."""
+"""The error of every trial, iteration by iteration."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ _SHADE = 0.16
 
 
 def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
-    """Two panels, max|e| and RMS, logarithmic: every swim, the median per iteration, the 5 to 95 %
-    band where there are three swims or more, and what any input can reach."""
+    """Two panels, max|e| and RMS, logarithmic: every trial, the median per iteration, the 5 to 95 %
+    band where there are three trials or more, and what any input can reach."""
     with drawing(style):
         figure = blank(analyses, style, 0.072 if style.wide else 0.104)
         shape: dict[str, Any] = {"ncols": 2} if style.wide else {"nrows": 2, "sharex": True}
@@ -63,7 +63,7 @@ def _panel(axes: Axes, analyses: Sequence[Analysis], what: str, style: Style) ->
     axes.set_ylabel("max|e| (mm/s)" if what == "max" else "RMS error (mm/s)")
     iteration_axis(axes, [row.iteration for analysis in analyses for row in analysis.last_rows])
     if not shown:
-        nothing(axes, "no swim was measured", style)
+        nothing(axes, "no trial was measured", style)
         return
     shown += _levels(axes, analyses, what, style)
     log_axis(axes, shown, (1.22, 1.25))
@@ -119,7 +119,7 @@ def _of_band(band: IterationStatistics, what: str) -> tuple[F64, ...]:
 
 def _levels(axes: Axes, analyses: Sequence[Analysis], what: str, style: Style) -> list[float]:
     """Baseline, error bound, L2-optimal input: mm/s of those drawn; the last two of max|e|
-    alone. Labels lie where the swims are not: early below, late above."""
+    alone. Labels lie where the trials are not: early below, late above."""
     look: dict[str, Any] = {"lw": 0.8, "fontsize": style.small_pt}
     drawn = []
     zero = start_m_s(analyses[0], what) * 1e3
@@ -177,18 +177,19 @@ def alternative(analyses: Sequence[Analysis]) -> str:
         for iteration, value in zip(band.iteration, band.max_median_m_s, strict=True)
         if math.isfinite(value)
     )
-    words = marked("Error of every swim per iteration, logarithmic", analyses)
+    words = marked("Error of every trial per iteration, logarithmic", analyses)
     return f"{words} Median max|e| in mm/s by iteration: {medians or 'none'}."
 
 
 def caption(analyses: Sequence[Analysis]) -> str:
-    """What the figure shows, with how many swims and what band and levels are."""
+    """What the figure shows, with how many trials and what band and levels are."""
     rows = [row for analysis in analyses for row in analysis.last_rows]
     text = (
-        f"Error per iteration over {len(rows)} swim{'s' * (len(rows) != 1)}{_left_out(rows)}. Top: "
-        "largest |e| over the beats; bottom: root of the mean square; e is the reference minus the "
-        "mean speed of a beat. Every swim is a point, swims of one iteration lie side by side in "
-        "the order they were swum; the line joins their medians"
+        f"Error per iteration over {len(rows)} trial{'s' * (len(rows) != 1)}{_left_out(rows)}. "
+        "Top: largest |e| over the beats; bottom: root of the mean square; e is the reference minus"
+        " the mean speed of a beat. Every trial is a point, trials of one iteration lie side by"
+        " side in "
+        "the order they were executed; the line joins their medians"
     )
     if any((analysis.band.swims >= BAND_SWIMS_MIN).any() for analysis in analyses):
         text += (

@@ -43,8 +43,8 @@ _ROLES = {
 
 
 def chosen(analysis: Analysis) -> list[tuple[str, TrialRow, Trial]]:
-    """(role, row, trial) of the first, a middle, the last and the best swim that count since the
-    board began anew, each once, in the order they were swum. The middle one is halfway, by
+    """(role, row, trial) of the first, a middle, the last and the best trial that count since the
+    board began anew, each once, in the order they were executed. The middle one is halfway, by
     iterations, from the first to the best. The best is complete; without a complete one there is
     none."""
     both = [
@@ -96,7 +96,7 @@ def _speeds(
         lines.append(_curve(axes, values, analysis.beat_s, _ROLES[role], _name(role, row)))
         top, low = max(top, float(np.nanmax(values))), min(low, float(np.nanmin(values)))
     if not picked:
-        nothing(axes, "no swim that counts was measured", style)
+        nothing(axes, "no trial that counts was measured", style)
     axes.set_ylim(1.3 * low, 1.08 * top)
     axes.set_ylabel("speed (mm/s)")
     return lines

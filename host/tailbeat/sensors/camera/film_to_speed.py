@@ -48,7 +48,7 @@ _FORMAT = "tailbeat camera track"
 
 @dataclass(frozen=True)
 class FilmAnalysis:
-    """What came of a film. ``sync`` None = not known when the swim began. ``trial`` None = not
+    """What came of a film. ``sync`` None = not known when the trial began. ``trial`` None = not
     paired with one; then ``sync.trial`` is the number the LED shows."""
 
     track: Track
@@ -63,7 +63,7 @@ class FilmAnalysis:
         return self.curve.beats(self.trial.executed_beats if self.trial is not None else 0)
 
     def straight(self) -> HeadingDrift | None:
-        """Whether it swam straight, from the begin of the swim (of the film, if that is not known)
+        """Whether it swam straight, from the begin of the trial (of the film, if that is not known)
         to its end; speeds are those along ``curve.direction_rad``."""
         beat_s, begin_s = self.curve.beat_s, self.curve.start_s
         if self.trial is not None:
@@ -131,7 +131,7 @@ def analyse(
     progress: Progress | None = None,
     on_place: Callable[..., None] | None = None,
 ) -> FilmAnalysis:
-    """All of ``source``: track, begin of the swim (``start_s`` if given, else by LED or yaw when
+    """All of ``source``: track, begin of the trial (``start_s`` if given, else by LED or yaw when
     there is a trial) and speed; with a trial its sigma holds that of the begin. ``beat_s`` counts
     without a trial only.
 
@@ -149,9 +149,9 @@ def analyse(
 
 
 def begin_of(seen: Track, trial: Trial | None, start_s: float | None = None) -> Sync | None:
-    """When the swim began; None = no trial to compare with and no LED. A given ``start_s`` is taken
-    to be some picture's, right within half a period either way: its sigma is that over sqrt(3).
-    Raises what sync raises, and InputError for a ``start_s`` outside the film."""
+    """When the trial began; None = no trial to compare with and no LED. A given ``start_s`` is
+    taken to be some picture's, right within half a period either way: its sigma is that over
+    sqrt(3). Raises what sync raises, and InputError for a ``start_s`` outside the film."""
     if start_s is not None:
         if not seen.t_s[0] <= start_s <= seen.t_s[-1]:
             raise InputError(

@@ -55,20 +55,20 @@ def codebook(count: int) -> Bools:
 
 @dataclass(frozen=True)
 class Waveform:
-    """The LED during a swim; ``lit_s`` is how long it has been on at each symbol's begin."""
+    """The LED during a trial; ``lit_s`` is how long it has been on at each symbol's begin."""
 
     lit_s: F64
     length_s: float
 
     @classmethod
     def of(cls, number: int, length_s: float) -> Waveform:
-        """Of a swim of that trial and length."""
+        """Of a trial of that trial and length."""
         on = codebook(max(1, int(np.ceil(length_s / SYMBOL_S - 1e-9))))[number]
         return cls(np.concatenate([[0.0], np.cumsum(on) * SYMBOL_S]), length_s)
 
     def lit(self, t_s: F64, exposure_s: float) -> F64:
         """Part (0..1) of exposures of that length in which it was on; ``t_s``: their middles, from
-        the begin of the swim and well inside it."""
+        the begin of the trial and well inside it."""
         edges_s = np.arange(len(self.lit_s)) * SYMBOL_S
         after = np.interp(t_s + exposure_s / 2, edges_s, self.lit_s)
         before = np.interp(t_s - exposure_s / 2, edges_s, self.lit_s)
@@ -86,7 +86,7 @@ _PICTURES_MIN = 50  # of the swim in the film
 
 @dataclass(frozen=True)
 class Find:
-    """``series``: which row of ``series_of``. ``begin_s`` of the swim, within 20 ms. ``strength``:
+    """``series``: which row of ``series_of``. ``begin_s`` of the trial, within 20 ms. ``strength``:
     of the matched filter, in standard deviations of what it gives for noise."""
 
     series: int
@@ -108,7 +108,7 @@ def series_of(patch: LedPatch) -> NDArray[np.uint8]:
 
 def find(series: NDArray[np.uint8], t_s: F64, length_s: float | None, beat_s: float) -> Find | None:
     """The code in one of ``series``, shape (places, pictures) at times ``t_s``; None = nothing
-    there that changes. ``length_s`` of the swim: None = not known."""
+    there that changes. ``length_s`` of the trial: None = not known."""
     begin_s = float(t_s[0])
     span_s = float(t_s[-1]) - begin_s
     length_s = max(REPEAT_S, span_s) if length_s is None else length_s
@@ -178,7 +178,7 @@ def _without_beat(ticks: F32, at: NDArray[np.int_], beat_s: float) -> F32:
 
 
 def _overlap(at: NDArray[np.int_], length: int, size: int) -> F64:
-    """How many pictures fall into the swim, for every begin."""
+    """How many pictures fall into the trial, for every begin."""
     present = np.bincount(at, minlength=size).astype(float)
     window = np.zeros(size)
     window[:length] = 1
@@ -213,7 +213,7 @@ _EXPOSURE_MIN_S = 0.001
 # What part of the exposure is needed to be seen at all (beside something bright), and what part to
 # be as bright as can be (saturated).
 _RESPONSES = ((0.0, 1.0), (0.25, 1.0), (0.5, 1.0), (0.0, 0.5), (0.0, 0.15), (0.2, 0.5))
-_MARGIN_S = 0.08  # of the swim's begin and end, which are not fitted
+_MARGIN_S = 0.08  # of the trial's begin and end, which are not fitted
 _STRAY = 0.05  # pictures that show anything
 _LEVELS = 256
 _NOISE_MIN = 3.0
@@ -328,7 +328,7 @@ _CLEAR_S = 0.02  # pictures so far from an edge show one symbol only
 
 
 def read_led(track: Track, length_s: float | None = None, beat_s: float = 1.0) -> LedReading:
-    """What the LED says. ``length_s`` of the swim, None = not known. Raises InputError when there
+    """What the LED says. ``length_s`` of the trial, None = not known. Raises InputError when there
     is none to be seen, or its number cannot be read."""
     if track.patch is None:
         raise InputError(
@@ -378,7 +378,7 @@ def _read_number(
     bright: NDArray[np.uint8], since_s: F64, length_s: float, looks: LedBrightness
 ) -> tuple[int, float]:
     """The number that the symbols say, and its log likelihood ratio to the next; the numbers of
-    swims that began whole blocks earlier or later count as others."""
+    trials that began whole blocks earlier or later count as others."""
     phase = since_s % SYMBOL_S
     clear = (since_s > 0) & (since_s < length_s)
     clear &= (phase > _CLEAR_S) & (phase < SYMBOL_S - _CLEAR_S)

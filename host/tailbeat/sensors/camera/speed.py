@@ -221,8 +221,8 @@ class SpeedCurve:
     ``sigma_m_s``: one standard deviation, > 0, honest: it holds the noise found in this film and
     what the model cannot follow; not the calibration's scale, which is wrong for all samples alike,
     and a begin that is not exactly known only by ``with_begin_sigma``.
-    ``direction_rad``: of the swim, against the tank's x. ``noise_m``: white noise of a position, as
-    found. ``start_s``: begin of beat 0. ``outliers``: positions not believed.
+    ``direction_rad``: of the trial, against the tank's x. ``noise_m``: white noise of a position,
+    as found. ``start_s``: begin of beat 0. ``outliers``: positions not believed.
     """
 
     t_s: F64
@@ -274,7 +274,7 @@ def swim_speed(
     direction_rad: float | None = None,
     beats: int | None = None,
 ) -> SpeedCurve:
-    """Speeds of all of ``track``; of a swim that began at ``start_s`` (in the track's time,
+    """Speeds of all of ``track``; of a trial that began at ``start_s`` (in the track's time,
     timing/sync.py) and had so many ``beats`` only from three beats before it to three after it.
 
     ``start_s`` None = the first row's; ``direction_rad`` None = swim_direction_rad. Takes 1 s for
@@ -422,7 +422,7 @@ def _covered(t_s: F64, middle_s: F64, beat_s: float, period_s: float) -> NDArray
 
 
 def write_speeds(curve: SpeedCurve, path: Path, trial: int | None = None) -> None:
-    """CSV with COLUMNS, whole or not at all; t_s counts from the begin of the swim, ``trial`` is
+    """CSV with COLUMNS, whole or not at all; t_s counts from the begin of the trial, ``trial`` is
     its number, empty when the film is not paired with one (then t_s is the film's own time)."""
     zero_s = curve.start_s if trial is not None else 0.0
     rows = (

@@ -40,14 +40,14 @@ _USUAL_BAUD = 115200.0
 
 
 class YawOscillation:
-    """The IMU's heading over time since the swim's begin: the sum of its turns at the ends of the
-    slots, and a cubic spline through them (ten points per beat). Before the swim, and after it if
+    """The IMU's heading over time since the trial's begin: the sum of its turns at the ends of the
+    slots, and a cubic spline through them (ten points per beat). Before the trial, and after it if
     the turns reach to its end, it stands still. The IMU tells it late: by its frame's way over the
     wire and 10 +- LATE_SIGMA_S more (half a servo frame: nothing in the data sheet, a whole one in
     the simulator)."""
 
     def __init__(self, trial: Trial) -> None:
-        """Raises InputError when the file holds no turns or the swim was too short."""
+        """Raises InputError when the file holds no turns or the trial was too short."""
         turn = trial.slots.table()["turn_rad"]
         known = np.isfinite(turn)
         index = trial.slots.index[known].astype(int)
@@ -83,7 +83,7 @@ class YawOscillation:
 
 
 def too_short(trial: Trial) -> InputError:
-    """That of a swim that was aborted before its yaw or LED tell anything."""
+    """That of a trial that was aborted before its yaw or LED tell anything."""
     beats = trial.executed_beats
     return InputError(
         f"trial {trial.number} has only {beats} executed beat{'s' * (beats != 1)}: "
@@ -286,7 +286,7 @@ AMBIGUOUS = "it fits at another beat as well"
 
 
 class Misfit(Exception):
-    """Film and file are not of one swim; the text says why."""
+    """Film and file are not of one trial; the text says why."""
 
 
 def read_yaw(track: Track, trial: Trial) -> YawFit:
@@ -341,7 +341,7 @@ _AGREE_SIGMAS = 5.0
 
 @dataclass(frozen=True)
 class Sync:
-    """``start_s``: the track's time at which frame 0 of the swim began; ``sigma_s`` of it.
+    """``start_s``: the track's time at which frame 0 of the trial began; ``sigma_s`` of it.
     ``trial``: as read from the LED, modulo 256; None with ``yaw``. ``score``: 0..1, how much of
     what was seen is explained."""
 
@@ -388,7 +388,7 @@ def sync_by_yaw(track: Track, trial: Trial) -> Sync:
 
 def sync(track: Track, trial: Trial) -> Sync:
     """By the LED if there is one, otherwise by the yaw; when both are there they must agree
-    within 5 sigma (WrongPair). Raises InputError when there is neither, or the swim was too short
+    within 5 sigma (WrongPair). Raises InputError when there is neither, or the trial was too short
     for both."""
     try:
         led = sync_by_led(track, trial)

@@ -148,7 +148,7 @@ class _Ground:
 
 
 Fish = list[dict[str, float]]
-Phases = list[tuple[_Ground, int]]  # what is learned one after the other, each for so many swims
+Phases = list[tuple[_Ground, int]]  # what is learned one after the other, each for so many trials
 
 
 def _ground_of(recipe: Recipe, cell: Cell, reference: str) -> _Ground:

@@ -71,7 +71,7 @@ def test_done_again_as_redo_says(
     copy: Experiment, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The commands as they are, in their order, from the experiment's folder, with a new board."""
-    _, _, text = call("show", copy.folder, "--redo").output.partition("## Before the first swim")
+    _, _, text = call("show", copy.folder, "--redo").output.partition("## Before the first trial")
     typed = [shlex.split(line, comments=True) for line in text.split("```")[1].splitlines()]
     board = SimTransport(SimBoard("tank", seed=1))
     monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: board)

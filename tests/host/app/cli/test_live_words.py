@@ -94,7 +94,7 @@ def test_a_key_press_that_stops_says_it_once(capsys: pytest.CaptureFixture[str])
 
 
 def test_an_abort_from_elsewhere_is_told(capsys: pytest.CaptureFixture[str]) -> None:
-    """Also in the swim after one that was stopped by a key."""
+    """Also in the trial after one that was stopped by a key."""
     operator = TerminalOperator(Display(), Typed(""))
     told(operator, TrialStopped(BY_HAND))
     told(operator, TrialStarted(8, 1), ABORTED)

@@ -191,7 +191,7 @@ def test_a_device_pulled_out_in_mid_swim(
     words = ("--camera", "0", "--calibration", tank(), "--wall", "0", "--video", str(path))
     status, text, err = swim(*words, prepare=prepare)
     assert status == 1 and "aborted:ABORT_COMMAND" in text
-    assert "tailbeat: cam was unplugged. Plug it in. The swim has no camera any more.\n" in err
+    assert "tailbeat: cam was unplugged. Plug it in. The trial has no camera any more.\n" in err
     film = Film(path)  # what was seen until then is kept
     assert film.read() is not None
     film.close()
@@ -222,7 +222,7 @@ def test_the_led_tells_how_late_the_stamps_are(
     led(monkeypatch, start_us * 1e-6 + off_s + late_s)
 
     def again(known: Any, number: int, folder: Path) -> Path:
-        return begun_s  # the second swim's file would hold another begin
+        return begun_s  # the second trial's file would hold another begin
 
     monkeypatch.setattr(Fish, "pull_trial", again)
     led(monkeypatch, start_us * 1e-6 + off_s + late_s, trial=2)

@@ -217,7 +217,7 @@ def test_abort_while_connecting_is_the_first_thing_said(tank: Tank) -> None:
     now = tank.wait(lambda now: now.phase == "idle")
     assert now.state == "ABORTED"
     assert now.fault
-    assert tank.board.time_s - begun_s < 10.0  # 30 beats would have been swum otherwise
+    assert tank.board.time_s - begun_s < 10.0  # 30 beats would have been executed otherwise
     tank.wait(
         lambda now: tank.board.world.truth().pulse_ticks == 0
     )  # the coast to the centre is over
@@ -332,7 +332,7 @@ def test_notes_are_taken_while_it_waits_for_a_decision(ready: Tank) -> None:
 
 
 def test_a_note_before_the_first_swim_waits_for_the_experiment(tmp_path: Path) -> None:
-    """On disk: also for the next time, if nothing is swum today."""
+    """On disk: also for the next time, if nothing is executed today."""
     board = SimBoard("tank", seed=1)
     for text in ("water 21 degrees", "fish was repaired"):
         before = Tank(tmp_path / "experiments", board)

@@ -99,7 +99,7 @@ def test_reset_forgets() -> None:
 
 
 def recorded(seed: int, fps: float, noise_m: float) -> np.ndarray:
-    """Pictures (t_s, x_m) of the thesis's swim in the simulated tank, the swim begins at 0."""
+    """Pictures (t_s, x_m) of the thesis's swim in the simulated tank, the trial begins at 0."""
     wanted = thesis().speed_m_s
     amplitude = np.where(wanted > 0.002, 0.197 + wanted / 0.219, 0)
     camera = {"camera_fps": fps, "camera_noise_m": noise_m, "camera_exposure_s": 0.001}

@@ -37,7 +37,7 @@ def prepared(seed: int, reference: Reference, **overrides: float) -> Fish:
     for name, value in {"ILC_GAIN": law.kp_rad_s_m, "ILC_LEAD": law.lead_beats}.items():
         fish.params.set(name, value)
     fish.upload_reference(reference)
-    fish.sim.world.set_swim(1)  # the same noise, whatever was swum before
+    fish.sim.world.set_swim(1)  # the same noise, whatever was executed before
     return fish
 
 

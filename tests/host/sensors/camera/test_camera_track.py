@@ -36,7 +36,7 @@ SHORT = ("--seconds", "2.6", "--start", "2")
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Exercise:
-    """A short swim, filmed in a small picture."""
+    """A short trial, filmed in a small picture."""
     speed = 0.06 * np.sin(np.linspace(0.3, 2.8, BEATS)).astype(np.float32)
     folder = tmp_path_factory.mktemp("film")
     options = ExerciseOptions(

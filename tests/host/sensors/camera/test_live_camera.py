@@ -252,7 +252,7 @@ def test_the_track_so_far(opened: Open) -> None:
 
 
 class Trouble:
-    """The simulated fish's camera until a moment of the swim, when ``error`` is raised once."""
+    """The simulated fish's camera until a moment of the trial, when ``error`` is raised once."""
 
     def __init__(self, fish: Fish, after_s: float, error: Exception) -> None:
         camera = default_camera(fish)
@@ -297,7 +297,7 @@ def test_a_camera_gone_in_mid_swim_ends_a_swim_that_lives_by_it(ready: Fish) -> 
     warnings, run = swim(ready, CameraGone("unplugged", "Plug it in."), VISION)
     outcome = run()
     assert outcome.end == "aborted:ABORT_COMMAND" and 0 < outcome.executed_beats < 8
-    assert warnings == ["unplugged. Plug it in. The swim has no camera any more."]
+    assert warnings == ["unplugged. Plug it in. The trial has no camera any more."]
     assert outcome.beats[0].speed_m_s is not None
 
 

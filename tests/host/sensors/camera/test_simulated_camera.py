@@ -88,7 +88,7 @@ class Watched(SimulatedCamera):
 
 
 def test_the_firmwares_code_is_in_the_pictures_of_a_swim() -> None:
-    """There is one begin of the swim, a tick of the board, with which all pictures agree."""
+    """There is one begin of the trial, a tick of the board, with which all pictures agree."""
     with Fish.connect("sim:tank", camera_fps=24.0, camera_exposure_s=EXPOSURE_S) as fish:
         fish.upload_reference(records.encode_reference(1.0, np.full(6, 0.05, np.float32)))
         fish.upload_amplitudes(np.full(6, 0.4))

@@ -36,11 +36,11 @@ class Swims:
             f"beat RMS {1e3 * np.sqrt(np.nanmean(self.error**2)):.2f} mm/s,"
             f" mean sigma {1e3 * np.nanmean(self.sigma):.2f}, in 2 sigma {in_two:.1%},"
             f" (error/sigma)^2 {np.nanmean((self.error / self.sigma) ** 2):.2f},"
-            f" mean of a swim {1e3 * self.mean_rms():.2f} mm/s"
+            f" mean of a trial {1e3 * self.mean_rms():.2f} mm/s"
         )
 
     def mean_rms(self) -> float:
-        """RMS error of the mean speed of a swim."""
+        """RMS error of the mean speed of a trial."""
         return float(np.sqrt(np.mean(np.nanmean(self.error, axis=1) ** 2)))
 
     def assert_honest(self) -> None:

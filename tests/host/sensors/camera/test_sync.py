@@ -340,7 +340,7 @@ def test_both_ways_must_agree(learned: list[Swim]) -> None:
 
 
 def by_amplitude(film: Swim, file: Swim) -> float:
-    """How different the amplitudes of two swims are."""
+    """How different the amplitudes of two trials are."""
     a, b = film.trial.beats.applied_rad, file.trial.beats.applied_rad
     return float(np.sqrt(np.mean((a - b) ** 2) / np.mean(a**2)))
 

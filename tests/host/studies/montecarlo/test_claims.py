@@ -171,7 +171,7 @@ def test_packaged_recipes_are_sound_and_promise_no_less_than_they_did(name: str)
 
 @pytest.mark.parametrize("name", list(packaged()))
 def test_p90_of_learning_is_that_of_enough_fish_against_the_same_swim(name: str) -> None:
-    """A p90 of 20 fish is its second worst; repeats of other swims have other disturbances."""
+    """A p90 of 20 fish is its second worst; repeats of other trials have other disturbances."""
     recipe = load(name)
     learning = [one for one in recipe.claims if one.statistic == "p90" and one.against]
     for claim in learning:

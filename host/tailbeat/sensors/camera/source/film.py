@@ -333,7 +333,7 @@ class FilmWriter:
 
 class Recorder:
     """Call it with every picture (live.OnPicture). A film that cannot be written costs the film,
-    not the swim: what went wrong is raised by close(). Without ``wanted`` close() leaves no film:
+    not the trial: what went wrong is raised by close(). Without ``wanted`` close() leaves no film:
     set it once there is something on it."""
 
     wanted = False
