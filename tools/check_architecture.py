@@ -21,16 +21,13 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "tailbeat"
 
 # How things are; these numbers and lists only get smaller. The goals: 230 files, 36 000 lines.
-FILES_MAX = 280
-CODE_LINES_MAX = 42_800
-IMPORTS_IN_FUNCTIONS_MAX = 20
+FILES_MAX = 241
+CODE_LINES_MAX = 39_600
+IMPORTS_IN_FUNCTIONS_MAX = 6
 LONGER_FILES = {
     "board/fish.py": 585,  # the interface to a board, a third of it the contracts of its methods
     "experiment/folder.py": 585,  # likewise, of an experiment
     "app/web/worker.py": 560,
-    "learning/convergence.py": 485,
-    "session/series.py": 460,
-    "session/trial.py": 507,
 }
 
 FILE_LINES_MAX = 450

@@ -1,7 +1,10 @@
 """The main job, end to end: a fish learns the thesis's speed profile.
 
-Connect, apply the preset of the thesis, upload, arm, swim, pull the log over the wire, learn on the
-board; after every step the host recomputes its numbers with the same C code and compares the bits.
+Connect, apply the preset of the thesis, upload, arm, execute a trial, pull its log over the wire,
+learn on the board; after every step the host recomputes its numbers with the same C code and
+compares the bits. The folder is that of any session, with its event log and the board's state. The
+loop is a short one, not `session.series`: a question more to the board would begin a trial at
+another moment of the camera's pictures, and the printed numbers with it.
 """
 
 from __future__ import annotations
@@ -26,16 +29,22 @@ from tailbeat.core import reference
 from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.speed_estimate import recompute_beats
+from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.experiment.board_state import copy_state
 from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.redo import write_redo
 from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.link.messages import LearnReport
 from tailbeat.report.paper import write_report
+from tailbeat.session.collect import TrialLog, record_of
 from tailbeat.session.identify import IdentificationHooks, identify_fish
+from tailbeat.session.log import SessionLog
 from tailbeat.session.next_input import next_step, setting_of, upload
+from tailbeat.session.outcome import Decision
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimulatedBoard
 from tailbeat.sim.config import DEFAULT_SEED
@@ -161,6 +170,8 @@ class _Demo:
             self._one_trial(experiment)
         progress(1.0, "report")
         experiment.note(f"demo: {count} trials")
+        copy_state(self.fish, experiment)
+        write_redo(experiment)
         bound = self._floor()
         return DemoResult(
             plant=self.plant,
@@ -258,8 +269,13 @@ class _Demo:
                 f"{outcome.executed_beats} beats.",
                 f"Its file is {path}; clear the board and start again.",
             )
+        log = SessionLog(experiment)
+        recorded = record_of(outcome, TrialLog(path, trial, heading_drift(trial)), None)
+        log.recorded(recorded)
+        log.decided(recorded, Decision("keep"))
         visits = fish.visits() if self.law.fade else None
         report = fish.learn(outcome.number)
+        log.journal.add("learned", **asdict(report))
         compare(trial, self.law, fish.amplitudes().values, report.rolled_back, visits)
         self.trials.append(trial)
         if self.identified is not None:

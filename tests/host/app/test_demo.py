@@ -13,7 +13,9 @@ from tailbeat.app.demo import DemoOptions, DemoResult, Mismatch, compare, run_de
 from tailbeat.core import law as laws
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
+from tailbeat.experiment.analysis import analyse
 from tailbeat.experiment.folder import Experiment
+from tailbeat.report.replay import replay
 
 GOLDEN_M_S = {
     4: [0.0791, 0.0353, 0.0139, 0.0049, 0.0018, 0.0010, 0.0010],
@@ -62,12 +64,17 @@ def test_iteration_0_is_listed_but_not_swum(tank: tuple[DemoResult, Path]) -> No
     assert (first.iteration, first.duration_s, first.end) == (1, 40, "complete")
 
 
-def test_folder_is_an_experiment_with_a_report(tank: tuple[DemoResult, Path]) -> None:
+def test_folder_is_an_experiment_with_a_report(
+    tank: tuple[DemoResult, Path], tmp_path: Path
+) -> None:
     result, folder = tank
     experiment = Experiment.open(folder)
     assert experiment.damaged() == []
     assert [trial.iteration for trial in experiment.trials()] == [1, 2, 3]
     assert experiment.settings()["params"]["ILC_LEAD"] == 1
+    assert [row.decision for row in analyse(experiment).rows] == ["keep"] * 3
+    again = replay(experiment, tmp_path)
+    assert again.identical and again.learned == again.recomputed == [1, 2, 3]
     assert result.report == folder / "report" / "report.html"
     page = result.report.read_text()
     assert "simulated" in page and "sim-tank learns the thesis speed profile" in page
