@@ -23,7 +23,7 @@ PACKAGE = "tailbeat"
 # How things are; these numbers and lists only get smaller. The goals: 230 files, 36 000 lines.
 FILES_MAX = 241
 CODE_LINES_MAX = 39_600
-IMPORTS_IN_FUNCTIONS_MAX = 6
+IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES = {
     "board/fish.py": 585,  # the interface to a board, a third of it the contracts of its methods
     "experiment/folder.py": 585,  # likewise, of an experiment

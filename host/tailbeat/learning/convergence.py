@@ -234,8 +234,7 @@ def score_of(trial: Trial, rolled_back: bool = False) -> Score:
 
 def repeat_limits(before: Sequence[Score], input_crc: int, band: NoiseBand) -> tuple[float, float]:
     """(low, high) of max|e| that one more trial of an input has in 95 of 100 cases, m/s.
-    ``before``: the series; judged trials of other inputs tell how lucky a single one of this
-    was."""
+    ``before``: the series; judged trials of other inputs tell how lucky a single one was."""
     before = comparable(before)
     recorded = [score.max_abs_error_m_s for score in repeats_of(before, input_crc)]
     if len(recorded) > 1:

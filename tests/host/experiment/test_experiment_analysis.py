@@ -259,9 +259,10 @@ def test_a_log_that_grew_is_one_trial(copy: Experiment) -> None:
 
 
 def test_folders_without_a_journal(tmp_path: Path) -> None:
-    """Made by the demo, or by an older tool: settings had no name then."""
+    """Made by an older tool: settings had no name then."""
     folder = tmp_path / "demo"
     run_demo(DemoOptions(trials=3, out=folder))
+    (folder / "journal.jsonl").unlink()
     settings = json.loads((folder / "settings.json").read_text())
     settings.pop("name")
     (folder / "settings.json").write_text(json.dumps(settings))
