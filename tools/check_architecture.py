@@ -21,8 +21,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "tailbeat"
 
 # How things are; these numbers and lists only get smaller. The goals: 230 files, 36 000 lines.
-FILES_MAX = 241
-CODE_LINES_MAX = 39_600
+FILES_MAX = 236
+CODE_LINES_MAX = 39_510
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES = {
     "board/fish.py": 585,  # the interface to a board, a third of it the contracts of its methods

@@ -20,10 +20,8 @@ from urllib.parse import urlencode
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.board import presets
 from tailbeat.board.connect import is_simulated
 from tailbeat.board.fish import Fish
-from tailbeat.board.presets import THESIS
 from tailbeat.core import law as laws
 from tailbeat.core import reference
 from tailbeat.core.arrays import F32
@@ -39,6 +37,7 @@ from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.link.messages import LearnReport
+from tailbeat.link.params import THESIS
 from tailbeat.report.paper import write_report
 from tailbeat.session.collect import TrialLog, record_of
 from tailbeat.session.identify import IdentificationHooks, identify_fish
@@ -194,7 +193,7 @@ class _Demo:
                 "tailbeat learn, or tailbeat trial discard.",
             )
         law = {"ILC_GAIN": self.options.gain, "ILC_LEAD": float(self.lead)}
-        presets.apply(fish, {**THESIS, **law})
+        fish.params.apply({**THESIS, **law})
         self.params = fish.params.values()
         self.law = laws.Law.from_params(self.params, self.reference.beat_s)
         for problem in self.reference.check(reference.ReferenceLimits.from_params(self.params)):

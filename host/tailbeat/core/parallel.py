@@ -1,21 +1,24 @@
-"""One thread of linear algebra, so that numbers do not depend on how many cores a computer has.
+"""Processes that compute tasks on the cores of this computer, and one thread of linear algebra.
 
-The order in which threads add up would be in the last bits; besides, more threads than processes
-would fight for the cores.
-
-Processes that compute on the cores of this computer: how many, Ctrl-C, and how they end.
+Who computes a task, and when, changes no bit of its result. The order in which threads add up would
+be in the last bits; besides, more threads than processes would fight for the cores.
 """
 
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Collection, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Collection, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
-from typing import Any
+from typing import Any, TypeVar
+
+from tailbeat.core.errors import InputError
 
 
 class _Limit:
@@ -97,3 +100,71 @@ def terminate(pool: ProcessPoolExecutor, children: Collection[BaseProcess]) -> N
     writer = getattr(getattr(pool, "_result_queue", None), "_writer", None)
     if writer is not None:
         writer.close()
+
+
+Result = TypeVar("Result")
+
+CONTEXT: SpawnContext = multiprocessing.get_context("spawn")
+_QUEUED_PER_CORE = 2  # what is queued has to be cancelled, so few tasks wait at a time
+
+
+def each_result(
+    work: Callable[..., Result],
+    tasks: Iterable[tuple[int, tuple[Any, ...]]],
+    cores: int,
+    died: InputError,
+    begin: Callable[..., None] | None = None,
+    shared: tuple[Any, ...] = (),
+    poll_s: float | None = None,
+    polled: Callable[[], None] = lambda: None,
+) -> Iterator[tuple[int, Result]]:
+    """The results as they are finished, each with the index of its task; several that finish
+    together come in the order of their indices. The processes end with the iterator.
+
+    Parameters
+    ----------
+    work
+        Computes a task: ``work(*arguments)``, in a process of ``cores``.
+    tasks
+        (index, arguments), in the order in which they begin.
+    died
+        Raised when a process dies.
+    begin, shared
+        Called as ``begin(*shared)`` when a process begins.
+    poll_s, polled
+        ``polled`` is called after every result, and at least every ``poll_s`` seconds.
+    """
+    before = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(cores, CONTEXT, _begin, (begin, shared))
+    queue = iter(tasks)
+    running: dict[Future[Result], int] = {}
+
+    def fill() -> None:
+        while len(running) < _QUEUED_PER_CORE * cores and (task := next(queue, None)) is not None:
+            index, arguments = task
+            running[pool.submit(work, *arguments)] = index
+
+    finished = False
+    try:
+        with deaf_children():
+            fill()
+        while running:
+            ready, _ = wait(running, timeout=poll_s, return_when=FIRST_COMPLETED)
+            for future in sorted(ready, key=lambda one: running[one]):
+                yield running.pop(future), future.result()
+            fill()
+            polled()
+        finished = True
+    except BrokenProcessPool as error:
+        raise died from error
+    finally:
+        if not finished:
+            terminate(pool, set(multiprocessing.active_children()) - before)
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin(begin: Callable[..., None] | None, shared: tuple[Any, ...]) -> None:
+    """A process leaves Ctrl-C to the one that started it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if begin is not None:
+        begin(*shared)

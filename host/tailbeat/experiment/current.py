@@ -1,14 +1,12 @@
 """Which experiment a fish is in: what 'trial run' adds to when no folder is named.
 
-Which parameters a board is meant to have: what its experiment had last, what was set since.
+Also which parameters a board is expected to have: what its experiment had last, and what was set
+since. Any other value was lost (a battery swap takes what was not saved) or set by somebody else;
+a trial would go on with it, and the law would learn by it, so it is reported first. An experiment
+has the expected values in its journal and its copy of the board's state. Before there is one, and
+between two, the fish's trial library has them: ``meant.json``, what commands set on this board.
 
-Everything else is lost (a battery swap takes what was not saved) or somebody else's doing. A trial
-would go on with it, and the law learn by it, without a word: so it is told first.
-
-An experiment knows its own in its journal and its copy of the board's state. Before there is one,
-and between two, the fish's trial library does: ``meant.json``, what commands set on this board.
-
-A second ``experiment new`` before anything was executed in the first.
+And notes that are written before there is an experiment: they wait on disk until it begins.
 """
 
 from __future__ import annotations
@@ -16,6 +14,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -27,14 +26,48 @@ from tailbeat.core import decode
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_REFERENCE, refusal
 from tailbeat.core.law import Averaging, Law
+from tailbeat.core.locks import locked
 from tailbeat.core.param_names import with_current_names
 from tailbeat.core.records import record_crc
 from tailbeat.core.reference import Reference, from_text, thesis
 from tailbeat.experiment.board_state import expected_params, held_state, set_held_params
 from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.journal import Journal
 from tailbeat.experiment.library import library_of, preserve_folder
 from tailbeat.experiment.redo import write_redo
 from tailbeat.sim.config import simulator_settings
+
+
+def put_by(root: Path, unique_id: str, text: str, at: datetime) -> None:
+    """Keeps it for the next experiment of this fish. Raises InputError, OSError."""
+    root.mkdir(parents=True, exist_ok=True)
+    with locked(root):
+        _waiting(root, unique_id).add("note", at, text=text)
+
+
+def bring(root: Path, unique_id: str, experiment: Experiment) -> int:
+    """Writes what waits into the experiment, with the time of each; how many. What a full disk
+    stops waits on. Raises InputError, OSError."""
+    waiting = _waiting(root, unique_id)
+    if not waiting.path.exists():
+        return 0
+    with locked(root):
+        return _bring(waiting, experiment)
+
+
+def _bring(waiting: Journal, experiment: Experiment) -> int:
+    notes = waiting.entries("note")
+    there = {(entry["time"], entry["text"]) for entry in experiment.journal.entries("note")}
+    for note in notes:
+        if (note["time"], note["text"]) not in there:  # else it was stopped half way
+            experiment.note(note["text"], datetime.fromisoformat(note["time"]))
+    waiting.path.unlink(missing_ok=True)
+    return len(notes)
+
+
+def _waiting(root: Path, unique_id: str) -> Journal:
+    return Journal(root / f"notes-{unique_id}.jsonl")
+
 
 _CURRENT = "experiment.json"
 _IDENTIFIED = "identified.json"

@@ -1,10 +1,10 @@
-"""The board's parameters over the MAVLink parameter protocol."""
+"""The board's parameters over the MAVLink parameter protocol; presets are named sets of values."""
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache, partial
@@ -12,6 +12,7 @@ from itertools import islice
 
 from tailbeat.core.errors import InputError, Refused, TransferError
 from tailbeat.core.faults import BAD_PARAM, LAW_FEEDBACK, LAW_SIGN, WRONG_STATE, refusal
+from tailbeat.core.law import Law
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.param_names import current_name, old_names, renamed
 from tailbeat.link import _dialect as mavlink
@@ -120,6 +121,12 @@ class Parameters:
         if _bits(held.value) != _bits(value):
             raise refusal(WRONG_STATE)  # its word on why was lost; the range was right
         return held
+
+    def apply(self, values: Mapping[str, float]) -> dict[str, tuple[float, Parameter]]:
+        """Sets each parameter; its value before and what the board holds now."""
+        return {
+            name: (self.get(name).value, self.set(name, value)) for name, value in values.items()
+        }
 
     def save(self) -> None:
         """Writes the present values to the board's storage."""
@@ -292,3 +299,24 @@ def _check_range(name: str, value: float, known: _KnownParameter | None) -> None
     if known.step and rounded / known.step != round(rounded / known.step):
         wanted = "a whole number" if known.step == 1 else f"a multiple of {known.step:g}"
         raise InputError(f"{name} cannot be {value:g}", f"Give {wanted}.")
+
+
+_LAW = Law()
+THESIS: Mapping[str, float] = {
+    "AMP_MAX_RAD": _LAW.amplitude_max_rad,
+    "DU_MAX_RAD": _LAW.step_max_rad,
+    **_LAW.params(),
+}
+"""The learning law of (8.16) and its amplitude limit, as in the simulations of chapter 8."""
+
+PRESETS: Mapping[str, Mapping[str, float]] = {"thesis": THESIS}
+
+
+def preset(name: str) -> Mapping[str, float]:
+    """The values of a preset, by parameter name. Raises InputError."""
+    try:
+        return PRESETS[name]
+    except KeyError:
+        raise InputError(
+            f"there is no preset '{name}'.", f"Use {' or '.join(sorted(PRESETS))}."
+        ) from None

@@ -11,9 +11,8 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from tailbeat.experiment.analysis import Analysis
+from tailbeat.experiment.analysis import WATER_TEMPERATURE, Analysis
 from tailbeat.experiment.compare import count
-from tailbeat.experiment.conditions import WATER_TEMPERATURE
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.report.style import PAGE, freedom_words, mm, simulated_mark

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.errors import InputError
+from tailbeat.core.extras import lazy
 from tailbeat.core.files import write_whole
-from tailbeat.core.lazy import lazy
 from tailbeat.experiment.analysis import Analysis
 from tailbeat.experiment.trial_rows import TrialRow
 

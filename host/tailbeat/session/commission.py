@@ -34,11 +34,7 @@ from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import IdentificationRun
 from tailbeat.learning.saturation import needed_rad, servo_rad
 from tailbeat.session.collect import require_idle
-from tailbeat.session.commission_steps import (
-    LimitIncrease,
-    next_limit_increase,
-    try_limit,
-)
+from tailbeat.session.commission_steps import LimitIncrease, next_limit_increase, try_limit
 from tailbeat.session.events import Notice, Operator
 from tailbeat.session.guards import Guard
 from tailbeat.session.identify import IdentificationHooks, identify_fish, set_params

@@ -18,13 +18,7 @@ from tailbeat.experiment.library import DISCARDED, library_of
 from tailbeat.experiment.redo import write_redo
 from tailbeat.learning.assessment import rollback_words
 from tailbeat.link.messages import BoardStatus, LearnReport
-from tailbeat.session.collect import (
-    STOPPED,
-    dangerous,
-    recover_trial,
-    settled,
-    stop_words,
-)
+from tailbeat.session.collect import STOPPED, dangerous, recover_trial, settled, stop_words
 from tailbeat.session.events import Notice, Operator, TrialDecided
 from tailbeat.session.log import SessionLog
 from tailbeat.session.outcome import Decision, DecisionKind, RecordedTrial

@@ -32,12 +32,7 @@ from tailbeat.session.preflight_pose import (
     pose_now,
     wait_for_pose,
 )
-from tailbeat.session.preflight_step import (
-    BatteryLow,
-    NotReady,
-    PreflightLimits,
-    PreflightStep,
-)
+from tailbeat.session.preflight_step import BatteryLow, NotReady, PreflightLimits, PreflightStep
 from tailbeat.session.travel import travel_next
 
 _HEAD_BYTES = 1024  # of a trial's file, with when it began and how long its beats are

@@ -25,13 +25,7 @@ from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
 from tailbeat.link.messages import BoardStatus
 from tailbeat.session.change import FishChange, change_of, require_best
-from tailbeat.session.collect import (
-    STOPPED,
-    make_safe,
-    proposed_decision,
-    recover_trial,
-    settled,
-)
+from tailbeat.session.collect import STOPPED, make_safe, proposed_decision, recover_trial, settled
 from tailbeat.session.events import Event, Notice, Operator, TrialRecorded
 from tailbeat.session.guards import Guard
 from tailbeat.session.identify import prior_of

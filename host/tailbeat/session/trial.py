@@ -9,10 +9,7 @@ from dataclasses import astuple, dataclass, field
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import ConnectError, LinkLostError, Refused, TailbeatError
-from tailbeat.core.faults import (
-    NOT_STILL,
-    STALE_COMMAND,
-)
+from tailbeat.core.faults import NOT_STILL, STALE_COMMAND
 from tailbeat.core.frames import Camera, TrackReset, Unseen
 from tailbeat.core.speed_source import SpeedSource, source_info
 from tailbeat.link import _dialect as mavlink

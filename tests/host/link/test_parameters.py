@@ -10,11 +10,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tailbeat.board import presets
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.law import Averaging, Law
-from tailbeat.link.params import known_parameters
+from tailbeat.link.params import known_parameters, preset
 
 
 def test_list_has_all_with_their_limits(fish: Fish) -> None:
@@ -63,13 +62,13 @@ def test_bad_values_do_not_reach_the_board(fish: Fish, name: str, value: float) 
 def test_the_thesis_preset_is_the_law_of_8_16(fish: Fish) -> None:
     assert fish.params.get("ILC_LEAD").value == 1
     fish.params.set("ILC_DECR_RATE", 0.5)
-    changed = presets.apply(fish, presets.preset("thesis"))
+    changed = fish.params.apply(preset("thesis"))
     params = fish.params.values()
     assert Law.from_params(params) == Law(amplitude_max_rad=float(np.float32(math.pi / 4)))
     assert Averaging.from_params(params) == Averaging()
     assert changed["ILC_LEAD"][0] == 1 and changed["ILC_LEAD"][1].value == 0
     with pytest.raises(InputError, match="no preset 'thesi'") as caught:
-        presets.preset("thesi")
+        preset("thesi")
     assert caught.value.remedy == "Use thesis."
 
 

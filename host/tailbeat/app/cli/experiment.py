@@ -14,10 +14,9 @@ from tailbeat.app.cli._options import EXPERIMENTS, Connect, ReferenceName, Root,
 from tailbeat.app.cli._terminal import Output, numbers, pick, table, warn
 from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
-from tailbeat.experiment.analysis import analyse
+from tailbeat.experiment.analysis import analyse, parse_conditions, set_conditions
 from tailbeat.experiment.compare import Comparison, other_differences
 from tailbeat.experiment.compare import compare as compare_sides
-from tailbeat.experiment.conditions import parse_conditions, set_conditions
 from tailbeat.experiment.current import (
     made_before,
     make,

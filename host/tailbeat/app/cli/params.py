@@ -7,9 +7,9 @@ from typing import Annotated, Any
 from tailbeat.app.cli._lazy import arg
 from tailbeat.app.cli._options import Connect, ConnectedFish, connected
 from tailbeat.app.cli._terminal import Output, table, warn
-from tailbeat.board import presets
 from tailbeat.core.param_names import current_name
 from tailbeat.experiment.current import accept, note_all, note_set
+from tailbeat.link import params
 from tailbeat.link.params import Parameter
 
 Name = Annotated[str, arg("For example ILC_GAIN.", "NAME")]
@@ -69,9 +69,9 @@ def preset(
 
     Example: tailbeat params preset thesis
     """
-    values = presets.preset(name)
+    values = params.preset(name)
     with connected(connect) as fish:
-        held = presets.apply(fish, values)
+        held = fish.params.apply(values)
         note_set(fish, {now.name: now.value for _, now in held.values()})
     rows = [
         [now.name, _number(now.value), now.unit, _unlike("was", before, now.value)]

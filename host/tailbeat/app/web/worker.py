@@ -17,7 +17,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from tailbeat.app.web import notes
 from tailbeat.app.web.inbox import Ask, Asks
 from tailbeat.app.web.view import PageState, Phase, after, by_beat, by_status, logged, travel_line
 from tailbeat.board.fish import Fish
@@ -26,6 +25,7 @@ from tailbeat.core.errors import ConnectError, InputError, LinkLostError, Tailbe
 from tailbeat.core.frames import Camera
 from tailbeat.core.records import decode_reference
 from tailbeat.core.reference import Reference, ReferenceLimits
+from tailbeat.experiment import current as notes
 from tailbeat.experiment.analysis import analyse
 from tailbeat.experiment.current import begin, current, make, note_board, note_set, require_same
 from tailbeat.experiment.folder import Experiment

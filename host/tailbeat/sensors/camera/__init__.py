@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tailbeat.core.extras import need
-from tailbeat.core.lazy import LazyModule
+from tailbeat.core.extras import LazyModule, need
 
 
 def require_cv2() -> Any:

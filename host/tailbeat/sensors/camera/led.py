@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError
-from tailbeat.core.lazy import lazy
+from tailbeat.core.extras import lazy
 from tailbeat.core.native import lib
 from tailbeat.sensors.camera.tracking.track import Track
 from tailbeat.sensors.camera.tracking.tracker import LedPatch

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.core.lazy import lazy
+from tailbeat.core.extras import lazy
 from tailbeat.core.native import lib
 from tailbeat.core.trial_file import SLOT_S, Trial
 from tailbeat.sensors.camera.led import NUMBERS, read_led

@@ -22,14 +22,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.errors import InputError, TailbeatError, reason
-from tailbeat.core.extras import need
+from tailbeat.core.extras import LazyModule, need
 from tailbeat.core.files import replace_file, replacing
-from tailbeat.core.lazy import LazyModule
-from tailbeat.core.parallel import cores_here, one_thread
+from tailbeat.core.parallel import cores_here, each_result, one_thread
 from tailbeat.studies.montecarlo.cell import Cell, cells, run_cell
 from tailbeat.studies.montecarlo.recipe import Recipe, parse
 from tailbeat.studies.montecarlo.results import arrow, identity, schema, to_bytes
-from tailbeat.studies.pool import each_result
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -8,8 +8,9 @@ from math import comb
 import numpy as np
 
 from tailbeat.core.arrays import F64
+from tailbeat.report.style import ACCENT, Axes
 from tailbeat.studies.thesis.example import Example, Found, claim, figure
-from tailbeat.studies.thesis.picture import ACCENT, Axes, Panel, Panels, errors
+from tailbeat.studies.thesis.picture import Panel, Panels, errors
 from tailbeat.studies.thesis.plants import linear
 from tailbeat.studies.thesis.series import (
     CUT_OUTPUTS,

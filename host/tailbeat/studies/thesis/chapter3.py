@@ -8,8 +8,9 @@ from functools import partial
 import numpy as np
 
 from tailbeat.core.arrays import F64
+from tailbeat.report.style import Axes
 from tailbeat.studies.thesis.example import Example, Found, claim, figure
-from tailbeat.studies.thesis.picture import REFERENCE, THIN, Axes, Curve, Panel, Panels, errors
+from tailbeat.studies.thesis.picture import REFERENCE, THIN, Curve, Panel, Panels, errors
 from tailbeat.studies.thesis.plants import held
 from tailbeat.studies.thesis.series import CUT_OUTPUTS, outputs
 from tailbeat.studies.thesis.study import Study, once

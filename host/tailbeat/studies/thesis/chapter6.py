@@ -7,8 +7,9 @@ from itertools import pairwise
 import numpy as np
 
 from tailbeat.core.arrays import F64
+from tailbeat.report.style import Axes
 from tailbeat.studies.thesis.example import Example, Found, claim, figure
-from tailbeat.studies.thesis.picture import REFERENCE, Axes, Curve, Panel, errors, field_map, level
+from tailbeat.studies.thesis.picture import REFERENCE, Curve, Panel, errors, field_map, level
 from tailbeat.studies.thesis.plants import heat, rod
 from tailbeat.studies.thesis.plants.rod import ITERATIONS, LONG, Q_LEN, RHO
 from tailbeat.studies.thesis.study import Study

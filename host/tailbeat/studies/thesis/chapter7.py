@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
+from tailbeat.report.style import Axes
 from tailbeat.studies.thesis.example import (
     Example,
     ExampleOptions,
@@ -22,7 +23,7 @@ from tailbeat.studies.thesis.example import (
     claim,
     figure,
 )
-from tailbeat.studies.thesis.picture import LINES, REFERENCE, Axes, Curve, Panel, errors, field_map
+from tailbeat.studies.thesis.picture import LINES, REFERENCE, Curve, Panel, errors, field_map
 from tailbeat.studies.thesis.plants import advection, heat
 from tailbeat.studies.thesis.study import Study
 

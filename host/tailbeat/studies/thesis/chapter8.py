@@ -15,17 +15,9 @@ import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.reference import thesis_speed
+from tailbeat.report.style import Axes
 from tailbeat.studies.thesis.example import Example, Found, claim, figure
-from tailbeat.studies.thesis.picture import (
-    LINES,
-    REFERENCE,
-    Axes,
-    Curve,
-    Panel,
-    Panels,
-    errors,
-    level,
-)
+from tailbeat.studies.thesis.picture import LINES, REFERENCE, Curve, Panel, Panels, errors, level
 from tailbeat.studies.thesis.plants import cruise
 from tailbeat.studies.thesis.study import Study
 

@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
-from tailbeat.report.style import ACCENT as ACCENT
-from tailbeat.report.style import Axes as Axes
+from tailbeat.report.style import ACCENT, Axes, picture
 from tailbeat.report.style import level as named_level
-from tailbeat.report.style import picture
 
 LINES: tuple[dict[str, Any], ...] = (
     {"color": ACCENT, "lw": 2.6, "ls": "-"},

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
+from tailbeat.report.style import Axes
 from tailbeat.studies.thesis import study
 from tailbeat.studies.thesis.example import ExampleOptions, ExampleRun, Prepared
 from tailbeat.studies.thesis.learner import Learner, LearnerConfig, LearnerRefused, Precision
 from tailbeat.studies.thesis.options import Length, errors_beyond, length_settings, parse
-from tailbeat.studies.thesis.picture import LINES, REFERENCE, THIN, Axes, Curve, Panel, Panels
+from tailbeat.studies.thesis.picture import LINES, REFERENCE, THIN, Curve, Panel, Panels
 
 Respond = Callable[[F64, int], F64]
 """Inputs (series, samples) and the iteration -> outputs (series, samples)."""

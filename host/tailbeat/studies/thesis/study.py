@@ -18,8 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from tailbeat.core.errors import InputError
-from tailbeat.core.parallel import one_thread
-from tailbeat.studies.pool import CONTEXT, each_result
+from tailbeat.core.parallel import CONTEXT, each_result, one_thread
 from tailbeat.studies.thesis import options as lengths
 from tailbeat.studies.thesis.example import Claim, Example, ExampleOptions, ExampleRun, Figure
 from tailbeat.studies.thesis.options import ITERATIONS_MAX, M_MAX, expression

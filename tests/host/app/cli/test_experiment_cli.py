@@ -21,9 +21,8 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.records import encode_reference
 from tailbeat.core.reference import from_text
-from tailbeat.experiment.analysis import write_analysis
+from tailbeat.experiment.analysis import set_conditions, write_analysis
 from tailbeat.experiment.board_state import copy_state, held_state
-from tailbeat.experiment.conditions import set_conditions
 from tailbeat.experiment.current import (
     begin,
     current,

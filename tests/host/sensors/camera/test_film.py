@@ -15,7 +15,7 @@ av = pytest.importorskip("av")
 cv2 = pytest.importorskip("cv2")
 
 from tailbeat.core.errors import InputError  # noqa: E402
-from tailbeat.core.lazy import LazyModule  # noqa: E402
+from tailbeat.core.extras import LazyModule  # noqa: E402
 from tailbeat.sensors.camera import require_av  # noqa: E402
 from tailbeat.sensors.camera.source import film as filmfile  # noqa: E402
 from tailbeat.sensors.camera.source.film import Film, FilmWriter  # noqa: E402

@@ -20,10 +20,9 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from tailbeat.app.cli import run
 from tailbeat.core import law as laws
 from tailbeat.core.errors import InputError
-from tailbeat.core.extras import need
+from tailbeat.core.extras import LazyModule, need
 from tailbeat.core.law import Law
 from tailbeat.core.law_memory import first_amplitudes
-from tailbeat.core.lazy import LazyModule
 from tailbeat.core.parallel import terminate
 from tailbeat.core.reference import from_text
 from tailbeat.learning.fish_model import SIGMA_M_S

@@ -16,12 +16,7 @@ import pytest
 
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis import chapter2
-from tailbeat.studies.thesis.example import (
-    COMES_OUT,
-    DOES_NOT,
-    UNDER_A_READING,
-    ExampleOptions,
-)
+from tailbeat.studies.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, ExampleOptions
 from tailbeat.studies.thesis.plants import linear
 from tailbeat.studies.thesis.plants.linear import (
     EXAMPLE1,

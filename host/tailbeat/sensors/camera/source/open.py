@@ -26,11 +26,7 @@ from tailbeat.sensors.camera.render.source import (
 )
 from tailbeat.sensors.camera.source.device import Device
 from tailbeat.sensors.camera.source.film import Film
-from tailbeat.sensors.camera.source.picture import (
-    Image,
-    PictureSource,
-    TimedImage,
-)
+from tailbeat.sensors.camera.source.picture import Image, PictureSource, TimedImage
 
 
 @dataclass(frozen=True)
