@@ -356,7 +356,7 @@ def test_ctrl_c_ends_all_of_it_with_one_line(stubs: Path) -> None:
     """Pressed when the first example is done and another goes on for ever."""
     done = script(stubs, """
         thesis_stubs.EXAMPLES = thesis_stubs.SLOW
-        from tailbeat.studies import pool
+        from tailbeat.core import parallel as pool
         really = pool.wait
         def wait(running, **how):
             ready = really(running, **how)
