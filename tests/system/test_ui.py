@@ -28,6 +28,7 @@ START = "from tailbeat.app.cli import main; main()"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 LAPTOP, PHONE = (1366, 768), (390, 844)
 PATIENCE_S = 600.0
+SETTLED_S = 60.0  # what opens has opened long before, on a busy machine too
 SPEED = 10.0  # much faster, and a starved page loses the link by the board's own clock
 NOBODY = "tcp:127.0.0.1:1"
 FOLDER = "TAILBEAT_PICTURES"  # of the pictures, where somebody wants to look at them
@@ -158,9 +159,10 @@ class Browser:
             " || e.getBoundingClientRect().width < 44).map(e => e.outerHTML.slice(0, 120))"
         )
         try:
-            self.until(f"{small}.length === 0", 5.0)
+            self.until(f"{small}.length === 0", SETTLED_S)
         except AssertionError:
-            assert self.ask(small) == []
+            left = self.ask(small)
+            assert left == [], f"too small to touch: {left}"
 
     def download(self, selector: str) -> Path:
         from selenium.webdriver.support.ui import WebDriverWait
