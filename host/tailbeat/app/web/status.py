@@ -106,7 +106,9 @@ class Status:
             self._next = ui.label().classes("travel next")
             self._until = ui.select(UNTIL, value="1", label="How long").props("outlined")
             self._until.classes("until")
-            self._ritual = ui.switch("Preflight checks before each trial: rest, pose, still water", value=True)
+            self._ritual = ui.switch(
+                "Preflight checks before each trial: rest, pose, still water", value=True
+            )
             self._start = ui.button("START", on_click=self._swim).props("unelevated")
             self._start.classes("start")
 
