@@ -136,7 +136,7 @@ void control_tick_isr(control_t *control, hal_t *hal) {
         .amplitude_rad = swim ? next_amplitude(control) : 0.0f,
     };
     report->gait = gait_frame_isr(&control->gait, &control->config, command);
-    hal_servo_pulse_isr(hal, report->gait.pulse_ticks);
+    hal_servo_pulse_isr(hal, HAL_SERVO_TAIL, report->gait.pulse_ticks);
     if (report->gait.beat_start && report->gait.beat == 0) {
         report->swim_start_us = now_us + FRAME_US;
     }

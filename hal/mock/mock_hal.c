@@ -54,7 +54,12 @@ uint64_t hal_time_us(const hal_t *hal) { return hal->now_us; }
 
 bool hal_clock_exact(const hal_t *hal) { return !hal->clock_inexact; }
 
-void hal_servo_pulse_isr(hal_t *hal, uint16_t width_ticks) {
+void hal_servo_pulse_isr(hal_t *hal, hal_servo_t servo, uint16_t width_ticks) {
+    REQUIRE(servo < HAL_SERVO_COUNT);
+    hal->pulse_ticks[servo] = width_ticks;
+    if (servo != HAL_SERVO_TAIL) {
+        return;
+    }
     if (hal->pulse_count < MOCK_PULSES) {
         hal->pulses[hal->pulse_count] = width_ticks;
     }

@@ -25,7 +25,8 @@ typedef struct {
 
 struct hal {
     uint64_t now_us;
-    uint16_t pulses[MOCK_PULSES];
+    uint16_t pulse_ticks[HAL_SERVO_COUNT]; /* the last of each servo */
+    uint16_t pulses[MOCK_PULSES];          /* of the tail */
     size_t pulse_count;
     mock_queue_t rx[HAL_PORT_COUNT]; /* filled by the test, read by the firmware */
     mock_queue_t tx[HAL_PORT_COUNT]; /* filled by the firmware */

@@ -20,7 +20,13 @@
     PIN(BATTERY, A, 16, NONE, "A0", "AD7")                                                         \
     PIN(LED, B, 27, NONE, "D13", "PB27")
 
-#define SERVO_PWM_CHANNEL 4u
+/* ROW(name in hal_servo_t, pin, channel of the PWM controller whose output L it is); a line per
+ * row. */
+/* clang-format off */
+#define SAM3X8E_SERVOS(ROW) \
+    ROW(TAIL, SERVO, 4)
+/* clang-format on */
+
 #define BATTERY_ADC_CHANNEL 7u
 
 #define SAM3X8E_PIN_NAME(name, port, bit, peripheral, header, signal) PIN_##name,

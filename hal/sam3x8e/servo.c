@@ -1,9 +1,9 @@
 /*
- * The servo's pulses and the tick: channel 4 of the PWM controller, output L, at D9.
+ * The servos' pulses and the tick: one channel of the PWM controller each, output L (pins.h).
  *
- * The channel counts 60000 thirds of a microsecond, 20 ms, from boot on, pulses or none; the end of
- * each period is the tick. With CPOL = 0 its low-side output is high for CDTY counts at the start
- * of a period. Pulses are held back by the output override (OOV = 0: low).
+ * The channels begin together and count 60000 thirds of a microsecond, 20 ms, from boot on, pulses
+ * or none; the end of the tail's period is the tick. With CPOL = 0 a low-side output is high for
+ * CDTY counts at the start of a period. Pulses are held back by the output override (OOV = 0: low).
  *
  * The duty (CDTYUPD) and the override (OSSUPD, OSCUPD) are both buffered and both taken over when a
  * period ends, so a pulse is whole or absent. Should the tick be so late that the end of a period
@@ -14,9 +14,24 @@
 #include "pins.h"
 #include "registers/pwm.h"
 
+#include "base/panic.h"
+
 #define PWM_CLOCK_HZ (HAL_SERVO_TICKS_PER_US * 1000000u)
 #define FRAME_TICKS 60000u
-#define OUTPUT PWM_OUTPUT_L(SERVO_PWM_CHANNEL)
+
+typedef struct {
+    pin_t pin;
+    uint32_t channel;
+} servo_wiring_t;
+
+#define WIRING(name, pin, channel) [HAL_SERVO_##name] = {PIN_##pin, channel},
+static const servo_wiring_t servos[HAL_SERVO_COUNT] = {SAM3X8E_SERVOS(WIRING)};
+#undef WIRING
+
+#define CHANNEL_BIT(name, pin, channel) | PWM_CHID(channel)
+#define ALL_CHANNELS (0u SAM3X8E_SERVOS(CHANNEL_BIT))
+#define OUTPUT_BIT(name, pin, channel) | PWM_OUTPUT_L(channel)
+#define ALL_OUTPUTS (0u SAM3X8E_SERVOS(OUTPUT_BIT))
 
 /* Nothing longer or shorter ever leaves the board, whatever the parameters say. */
 #define SHORTEST_TICKS (500u * HAL_SERVO_TICKS_PER_US)
@@ -29,41 +44,50 @@ static uint16_t clamped(uint16_t ticks) {
     return ticks > LONGEST_TICKS ? LONGEST_TICKS : ticks;
 }
 
-void servo_kill(void) { pin_output(PIN_SERVO, false); }
+void servo_kill(void) {
+    for (uint32_t servo = 0; servo < HAL_SERVO_COUNT; servo++) {
+        pin_output(servos[servo].pin, false);
+    }
+}
 
 void servo_init(hal_t *hal) {
     servo_kill();
-    hal->servo_on = false;
+    hal->servos_on = 0;
     clock_enable(ID_PWM);
-    PWM->DIS = PWM_CHID(SERVO_PWM_CHANNEL);
+    PWM->DIS = ALL_CHANNELS;
     PWM->OOV = 0;
-    PWM->OSS = OUTPUT;
+    PWM->OSS = ALL_OUTPUTS;
     PWM->CLK = FIELD(PWM_CLK_DIVA, (hal->clocks.mck_hz + PWM_CLOCK_HZ / 2u) / PWM_CLOCK_HZ);
-    volatile pwm_channel_registers_t *channel = &PWM->CHANNEL[SERVO_PWM_CHANNEL];
-    channel->CMR = PWM_CMR_CPRE_CLKA;
-    channel->CPRD = FRAME_TICKS;
-    channel->CDTY = SHORTEST_TICKS;
-    PWM->IER1 = PWM_CHID(SERVO_PWM_CHANNEL);
+    for (uint32_t servo = 0; servo < HAL_SERVO_COUNT; servo++) {
+        volatile pwm_channel_registers_t *channel = &PWM->CHANNEL[servos[servo].channel];
+        channel->CMR = PWM_CMR_CPRE_CLKA;
+        channel->CPRD = FRAME_TICKS;
+        channel->CDTY = SHORTEST_TICKS;
+    }
+    PWM->IER1 = PWM_CHID(servos[HAL_SERVO_TAIL].channel);
     interrupt_enable(ID_PWM, PRIORITY_TICK);
-    PWM->ENA = PWM_CHID(SERVO_PWM_CHANNEL);
+    PWM->ENA = ALL_CHANNELS;
 }
 
 /* The override holds the PWM's output low as the pin is low: handing it over is no edge. */
-static void take_pin_isr(hal_t *hal) {
-    if (!hal->servo_on) {
-        hal->servo_on = true;
-        pin_to_peripheral(PIN_SERVO);
+static void take_pin_isr(hal_t *hal, hal_servo_t servo) {
+    const uint32_t bit = 1u << servo;
+    if ((hal->servos_on & bit) == 0) {
+        hal->servos_on |= bit;
+        pin_to_peripheral(servos[servo].pin);
     }
 }
 
-void hal_servo_pulse_isr(hal_t *hal, uint16_t width_ticks) {
+void hal_servo_pulse_isr(hal_t *hal, hal_servo_t servo, uint16_t width_ticks) {
+    REQUIRE(servo < HAL_SERVO_COUNT);
+    const uint32_t channel = servos[servo].channel;
     if (width_ticks == 0 || !hal_clock_exact(hal)) {
-        PWM->OSSUPD = OUTPUT;
+        PWM->OSSUPD = PWM_OUTPUT_L(channel);
         return;
     }
-    take_pin_isr(hal);
-    PWM->CHANNEL[SERVO_PWM_CHANNEL].CDTYUPD = clamped(width_ticks);
-    PWM->OSCUPD = OUTPUT;
+    take_pin_isr(hal, servo);
+    PWM->CHANNEL[channel].CDTYUPD = clamped(width_ticks);
+    PWM->OSCUPD = PWM_OUTPUT_L(channel);
 }
 
 void servo_isr(void) {

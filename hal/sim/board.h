@@ -36,7 +36,7 @@ struct hal {
     board_ring_t received[HAL_PORT_COUNT];
     bool connected[BOARD_LINKS];
     board_wire_t to_imu;
-    uint16_t pulse_ticks;
+    uint16_t pulse_ticks[HAL_SERVO_COUNT];
     uint16_t battery_mv;
     hal_reset_cause_t reset_cause;
     bool reset_wanted;

@@ -80,7 +80,7 @@ static void boot(sim_t *sim, hal_reset_cause_t cause) {
 
 /* A pulse ordered in one frame comes out in the next, as the PWM's update register does it. */
 static void frame_event(sim_t *sim) {
-    const uint16_t pulse_ticks = sim->board.pulse_ticks;
+    const uint16_t pulse_ticks = sim->board.pulse_ticks[HAL_SERVO_TAIL];
     if (sim->booted) {
         app_tick_isr(&sim->app);
     }

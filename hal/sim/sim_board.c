@@ -43,7 +43,7 @@ void board_restart(hal_t *hal, hal_reset_cause_t cause) {
     hal->to_imu.length = hal->to_imu.early = 0;
     hal->to_imu.baud = BOOT_BAUD;
     hal->boot_us = hal->now_us;
-    hal->pulse_ticks = 0;
+    memset(hal->pulse_ticks, 0, sizeof hal->pulse_ticks);
     hal->reset_cause = cause;
     hal->reset_wanted = false;
     hal->led = false;
@@ -57,7 +57,10 @@ bool hal_clock_exact(const hal_t *hal) {
     return true;
 }
 
-void hal_servo_pulse_isr(hal_t *hal, uint16_t width_ticks) { hal->pulse_ticks = width_ticks; }
+void hal_servo_pulse_isr(hal_t *hal, hal_servo_t servo, uint16_t width_ticks) {
+    REQUIRE(servo < HAL_SERVO_COUNT);
+    hal->pulse_ticks[servo] = width_ticks;
+}
 
 static size_t room(const board_ring_t *ring) {
     return BOARD_RING_BYTES - (size_t)(ring->tail - ring->head);

@@ -134,6 +134,57 @@ def test_a_figure(extended: Path, tmp_path: Path) -> None:
     assert "Measured beats of every trial, 1 experiments." in page
 
 
+def test_a_servo(extended: Path, tmp_path: Path) -> None:
+    """On the mock board; and the code of the SAM3X8E compiles with it."""
+    (tmp_path / "rudder.c").write_text(RUDDER)
+    folders = [f"-I{extended / name}" for name in ("firmware", "hal/include", "hal/mock")]
+    modules = ["app/control.c", "blink/blink.c", "gait/gait.c", "gait/servo.c", "base/real.c"]
+    modules += ["supervisor/stop_rules.c", "supervisor/battery.c"]
+    sources = ["rudder.c", f"{extended}/hal/mock/mock_hal.c"]
+    sources += [f"{extended}/firmware/{name}" for name in modules]
+    options = ["-std=c11", "-Wall", "-Werror", *folders]
+    subprocess.run(["cc", *options, *sources, "-o", "rudder", "-lm"], cwd=tmp_path, check=True)
+    done = subprocess.run(["./rudder"], cwd=tmp_path, check=True, capture_output=True, text=True)
+    assert done.stdout.split() == ["0", "4844", "0"]
+    chip = ["arm-none-eabi-gcc", "-mcpu=cortex-m3", "-mthumb", *options, "-fsyntax-only"]
+    board = extended / "hal" / "sam3x8e"
+    subprocess.run([*chip, f"-I{board}", str(board / "servo.c")], check=True)
+
+
+RUDDER = """
+#include "app/control.h"
+#include "mock_hal.h"
+#include <stdio.h>
+
+static hal_t hal;
+static control_t control;
+static const float amplitude_rad[1] = {0.3f};
+
+static void tick_and_print(int ticks) {
+    for (int i = 0; i < ticks; i++) {
+        hal.now_us += 20000;
+        control_tick_isr(&control, &hal);
+    }
+    printf("%u ", (unsigned)hal.pulse_ticks[HAL_SERVO_RUDDER]);
+}
+
+int main(void) {
+    mock_hal_init(&hal);
+    control_init(&control);
+    tick_and_print(1);
+    const control_orders_t orders = {
+        .swim = true, .beats = 1, .amplitude_rad = amplitude_rad, .rudder_rad = 0.2f,
+        .gait = {.servo = {.centre_us = 1500.0f, .us_per_rad = 573.0f, .min_us = 900.0f,
+                           .max_us = 2100.0f, .direction = 1.0f},
+                 .frames_per_beat = 50, .coast_frames = 25}};
+    control_order(&control, &hal, &orders);
+    tick_and_print(10);
+    tick_and_print(80);
+    return 0;
+}
+"""
+
+
 def test_a_preflight_check(extended: Path) -> None:
     code = (
         "from tailbeat import Fish\n"

@@ -101,7 +101,9 @@ def test_debugger_and_erase_pins_are_left_alone() -> None:
 
 def test_channels_belong_to_their_signals() -> None:
     signals = {pin.name: pin.signal for pin in pins_of_header()}
-    assert signals["SERVO"] == f"PWML{constant('SERVO_PWM_CHANNEL')}"
+    servos = re.findall(r"^ +ROW\(\w+, (\w+), (\d+)\)", HEADER, re.MULTILINE)
+    assert [pin for pin, _ in servos] == ["SERVO"]
+    assert all(signals[pin] == f"PWML{channel}" for pin, channel in servos)
     assert signals["BATTERY"] == f"AD{constant('BATTERY_ADC_CHANNEL')}"
 
 

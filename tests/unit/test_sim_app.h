@@ -127,11 +127,12 @@ void app_tick_isr(app_t *app) {
     }
     const bool stopped = script.stop_tick != 0 && tick >= script.stop_tick;
     if (tick < script.start_tick || frame >= script.beats * 50 || stopped) {
-        hal_servo_pulse_isr(script.hal, 0);
+        hal_servo_pulse_isr(script.hal, HAL_SERVO_TAIL, 0);
         return;
     }
     const double angle = script.amplitude_rad[frame / 50] * sin(TEST_TWO_PI * (frame % 50) / 50);
-    hal_servo_pulse_isr(script.hal, (uint16_t)lround(3 * (1500 + 572.9578 * angle)));
+    hal_servo_pulse_isr(script.hal, HAL_SERVO_TAIL,
+                        (uint16_t)lround(3 * (1500 + 572.9578 * angle)));
 }
 
 #endif

@@ -1,4 +1,4 @@
-/* The tail servo's pulse output, one pulse per 20 ms frame. */
+/* Servo pulse outputs, one pulse per 20 ms frame each; the frames of all servos are the same. */
 #ifndef HAL_SERVO_H
 #define HAL_SERVO_H
 
@@ -10,8 +10,14 @@
  * board uses the same grid, so that the same firmware moves the same tail. */
 #define HAL_SERVO_TICKS_PER_US 3u
 
-/* Width of the pulses from the next frame on; 0 = no pulses (servo limp). The board calls
- * app_tick_isr() once per frame and the tick calls this at most once. Interrupt context. */
-void hal_servo_pulse_isr(hal_t *hal, uint16_t width_ticks);
+typedef enum {
+    HAL_SERVO_TAIL = 0, /* its frames are the ticks */
+    HAL_SERVO_COUNT
+} hal_servo_t;
+
+/* Width of |servo|'s pulses from the next frame on; 0 = no pulses (servo limp). The board calls
+ * app_tick_isr() once per frame and the tick calls this at most once per servo. Interrupt context.
+ */
+void hal_servo_pulse_isr(hal_t *hal, hal_servo_t servo, uint16_t width_ticks);
 
 #endif
