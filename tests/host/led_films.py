@@ -67,8 +67,8 @@ class LedFilm:
         for k in range(_SAMPLES):
             moment = since_s + exposure_s * ((k + 0.5) / _SAMPLES - 0.5)
             frame = np.clip((moment / FRAME_S).astype(int), 0, frames - 1)
-            swims = np.where(moment < self.swim_s, code[frame], 0.0)
-            lit += np.where(moment < 0, self._before(moment), swims) / _SAMPLES  # idle after
+            trials = np.where(moment < self.swim_s, code[frame], 0.0)
+            lit += np.where(moment < 0, self._before(moment), trials) / _SAMPLES  # idle after
         return np.minimum(1.0, lit * self.saturation)
 
     def _before(self, moment: Floats) -> Floats:

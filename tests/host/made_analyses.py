@@ -105,14 +105,14 @@ def band_of(rows: Sequence[TrialRow]) -> IterationStatistics:
             values = [getattr(r, name) for r in mine]
             for n, part in enumerate((50, 5, 95)):
                 columns[3 * at + n].append(float(np.percentile(values, part)))
-    swims = [sum(r.iteration == iteration for r in counted) for iteration in iterations]
+    trials = [sum(r.iteration == iteration for r in counted) for iteration in iterations]
     return IterationStatistics(
-        np.array(iterations, np.int64), np.array(swims, np.int64), *(np.array(c) for c in columns)
+        np.array(iterations, np.int64), np.array(trials, np.int64), *(np.array(c) for c in columns)
     )
 
 
-def analysis(swims: Sequence[Trial], rows: Sequence[TrialRow], **fields: Any) -> Analysis:
-    beats = len(swims[0].beats.samples) if swims else BEATS
+def analysis(trials: Sequence[Trial], rows: Sequence[TrialRow], **fields: Any) -> Analysis:
+    beats = len(trials[0].beats.samples) if trials else BEATS
     made = Analysis(
         name="2026-05-04_carl_thesis_p4-lead1_01",
         simulated=True,
@@ -127,7 +127,7 @@ def analysis(swims: Sequence[Trial], rows: Sequence[TrialRow], **fields: Any) ->
         amplitude_max_rad=LIMIT_RAD,
         conditions={"water_c": 21.5, "tail": "soft <blue>"},
         rows=list(rows),
-        trials=list(swims),
+        trials=list(trials),
         band=band_of(rows),
         floor_m_s=0.0105,
         floor_lsq_m_s=0.0113,
@@ -144,10 +144,10 @@ def analysis(swims: Sequence[Trial], rows: Sequence[TrialRow], **fields: Any) ->
 
 def series(errors: Sequence[float], **fields: Any) -> Analysis:
     """One kept trial per iteration."""
-    swims = [trial(n, n, e, wanted_rad=0.5 - 0.001 * n) for n, e in enumerate(errors, 1)]
-    rows = [row(swim) for swim in swims]
+    trials = [trial(n, n, e, wanted_rad=0.5 - 0.001 * n) for n, e in enumerate(errors, 1)]
+    rows = [row(swim) for swim in trials]
     for n in range(1, len(rows)):
         before = rows[n - 1].max_abs_error_m_s
         ratio = rows[n].max_abs_error_m_s / before if before else math.nan
         rows[n] = replace(rows[n], contraction=ratio)
-    return analysis(swims, rows, **fields)
+    return analysis(trials, rows, **fields)

@@ -18,9 +18,9 @@ from tailbeat.sim.board import CONSOLE, SimTransport, SimulatedBoard
 
 @dataclass
 class Happening:
-    """Something that is done to the fish in the middle of beat ``beat`` of trial ``swim``."""
+    """Something that is done to the fish in the middle of beat ``beat`` of trial ``trial``."""
 
-    swim: int
+    trial: int
     beat: int
     act: Callable[[], None]
 
@@ -46,7 +46,7 @@ class Tank(SimTransport):
             self.began_s = truth.time_s
         for happening in list(self.happenings):
             due_s = self.began_s + happening.beat + 0.5
-            if truth.swims == happening.swim and truth.time_s >= due_s:
+            if truth.swims == happening.trial and truth.time_s >= due_s:
                 self.happenings.remove(happening)
                 happening.act()
 
@@ -67,7 +67,7 @@ class Day:
         assert status is None or got == status, f"tailbeat {' '.join(line)}: {got}\n{err}\n{out}"
         return json.loads(out) if out else err
 
-    def swims(self) -> int:
+    def trials(self) -> int:
         return self.board.world.truth().swims
 
     def abort_by_console(self) -> None:
@@ -76,4 +76,4 @@ class Day:
 
     def happens(self, beat: int, act: Callable[[], None]) -> None:
         """In the middle of that beat of the next trial."""
-        self.tank.happenings.append(Happening(self.swims() + 1, beat, act))
+        self.tank.happenings.append(Happening(self.trials() + 1, beat, act))

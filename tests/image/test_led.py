@@ -115,12 +115,12 @@ def test_led_is_off_until_armed_and_follows_it(seen: Seen) -> None:
 
 
 def test_led_shows_the_code_while_it_swims(seen: Seen) -> None:
-    swim = seen.frames[: BEATS * FRAMES_PER_BEAT]
-    shown = [seen.lit(begin + TICK_US / 2) for begin in swim]
-    assert shown == [lib.blink_on(frame, seen.trial) for frame in range(len(swim))]
+    trial = seen.frames[: BEATS * FRAMES_PER_BEAT]
+    shown = [seen.lit(begin + TICK_US / 2) for begin in trial]
+    assert shown == [lib.blink_on(frame, seen.trial) for frame in range(len(trial))]
     late_us = [
         min(abs(edge - begin) for edge in seen.edges)
-        for n, begin in enumerate(swim)
+        for n, begin in enumerate(trial)
         if n > 0 and shown[n] != shown[n - 1]
     ]
     print(f"largest delay of an edge after its frame's begin: {max(late_us):.1f} us")

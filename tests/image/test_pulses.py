@@ -87,10 +87,10 @@ def recorded(image: Path, request: pytest.FixtureRequest) -> Swum:
 
 
 def test_each_pulse_is_the_sine_of_its_beat(recorded: Swum) -> None:
-    swim = recorded.pulses[: recorded.frames]
-    assert len(swim) == recorded.frames >= BEATS * FRAMES_PER_BEAT
-    worst_us = worst_error_us(swim, recorded.amplitude_rad)
-    print(f"largest error of {len(swim)} pulses: {worst_us * 1000:.0f} ns")
+    trial = recorded.pulses[: recorded.frames]
+    assert len(trial) == recorded.frames >= BEATS * FRAMES_PER_BEAT
+    worst_us = worst_error_us(trial, recorded.amplitude_rad)
+    print(f"largest error of {len(trial)} pulses: {worst_us * 1000:.0f} ns")
     assert worst_us <= 1 / 3
 
 

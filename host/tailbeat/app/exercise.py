@@ -96,25 +96,25 @@ def make_exercise(
     with _part_beside(film) as name:
         folder = Path(name)
         written = folder / film.name
-        swim, fps = _swim(options, written.with_suffix(_LOG), progress)
-        _draw(written, swim, options.scene, fps, progress)
-        _write_truth(written.with_suffix(".truth.csv"), swim)
+        trial, fps = _swim(options, written.with_suffix(_LOG), progress)
+        _draw(written, trial, options.scene, fps, progress)
+        _write_truth(written.with_suffix(".truth.csv"), trial)
         options.scene.calibration().save(written.with_suffix(".tank.json"))
         for path in sorted(folder.iterdir()):
             path.replace(film.parent / path.name)
-    shot = 1 + picture_index(swim.frames[-1], fps) - picture_index(swim.frames[0], fps)
+    shot = 1 + picture_index(trial.frames[-1], fps) - picture_index(trial.frames[0], fps)
     return Exercise(
         film=film,
         truth=film.with_suffix(".truth.csv"),
         calibration=film.with_suffix(".tank.json"),
         trial_file=film.with_suffix(_LOG),
-        trial=swim.trial,
-        pictures=len(swim.frames),
-        lost=shot - len(swim.frames),
+        trial=trial.trial,
+        pictures=len(trial.frames),
+        lost=shot - len(trial.frames),
         fps=fps,
-        swim_begin_s=swim.begin_s - swim.frames[0].time_s,
+        swim_begin_s=trial.begin_s - trial.frames[0].time_s,
         beat_s=options.reference.beat_s,
-        true_speed_m_s=swim.true_speed_m_s,
+        true_speed_m_s=trial.true_speed_m_s,
     )
 
 
@@ -217,12 +217,12 @@ def _cut(frames: list[CameraFrame], begin_s: float, options: ExerciseOptions) ->
     return kept
 
 
-def _draw(path: Path, swim: _Swim, scene: Scene, fps: float, progress: Progress) -> None:
+def _draw(path: Path, trial: _Swim, scene: Scene, fps: float, progress: Progress) -> None:
     painter = Painter(scene)
-    count = len(swim.frames)
+    count = len(trial.frames)
     with FilmWriter(path, scene.size_px, fps) as writer:
         before: CameraFrame | None = None
-        for done, frame in enumerate(swim.frames, 1):
+        for done, frame in enumerate(trial.frames, 1):
             image = painter.paint(drawn_pose_of(frame, before), picture_index(frame, fps))
             writer.add(image, frame.time_s)
             before = frame
@@ -230,14 +230,14 @@ def _draw(path: Path, swim: _Swim, scene: Scene, fps: float, progress: Progress)
             progress(part, f"drawing, picture {done} of {count}")
 
 
-def _write_truth(path: Path, swim: _Swim) -> None:
+def _write_truth(path: Path, trial: _Swim) -> None:
     """As drawn, the camera's noise included; the speed is the fish's own."""
-    first_s = swim.frames[0].time_s
+    first_s = trial.frames[0].time_s
     with replacing_text(path) as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(TRUTH_COLUMNS)
-        for frame in swim.frames:
-            speed = float(np.interp(frame.time_s, *swim.speed))
+        for frame in trial.frames:
+            speed = float(np.interp(frame.time_s, *trial.speed))
             place = frame.x_m, frame.y_m, frame.heading_rad, frame.tail_rad, frame.led, speed
             out.writerow([f"{frame.time_s - first_s:.6f}", *(f"{value:.6f}" for value in place)])
 

@@ -68,7 +68,7 @@ class Analysis:
     ``floor_lsq_m_s`` of the best by least squares; ``floor_by`` says of what: the ``identified``
     fish, or the ``simulator`` where nothing was identified; NaN = neither is there. ``noise_m_s``:
     standard deviation of max|e| between repeats with ``noise_freedom`` degrees of freedom, NaN = no
-    repeats. ``problems``: what is wrong with the folder, swims that were not straight, and where
+    repeats. ``problems``: what is wrong with the folder, trials that were not straight, and where
     the board began anew; one line each."""
 
     name: str
@@ -310,7 +310,7 @@ def _is_of(
     if identified is None or identified.source != "runs":
         return True
 
-    return swim_crc(trial_speeds(trial)) not in {swim_crc(swim) for swim in identified.swims}
+    return swim_crc(trial_speeds(trial)) not in {swim_crc(one) for one in identified.trials}
 
 
 def _judges_gaps(settings: Mapping[str, Any]) -> bool:

@@ -304,13 +304,13 @@ def repeats_needed(g: float) -> int | None:
     return high
 
 
-def power(g: float, swims: int) -> float:
-    """How often ``swims`` on each side show a true effect ``g``."""
+def power(g: float, trials: int) -> float:
+    """How often ``trials`` on each side show a true effect ``g``."""
     from scipy.special import stdtrit
 
-    freedom = 2 * swims - 2
+    freedom = 2 * trials - 2
     limit = float(stdtrit(freedom, (1 + _LEVEL) / 2))
-    shift = abs(g) * math.sqrt(swims / 2)
+    shift = abs(g) * math.sqrt(trials / 2)
     return 1 - noncentral_t(limit, freedom, shift) + noncentral_t(-limit, freedom, shift)
 
 
@@ -319,7 +319,7 @@ def _words(
     interval: tuple[float, float, float],
     repeats: int | None,
     names: tuple[str, str],
-    swims: str,
+    trials: str,
 ) -> str:
     """Errors: less is better."""
     difference, low, high = (value * 1e3 for value in interval)
@@ -330,7 +330,7 @@ def _words(
         near, far = sorted((abs(low), abs(high)))
         return (
             f"{b} is {abs(difference):.1f} mm/s {side} than {a} in {name}"
-            f" (95 %: {near:.1f} to {far:.1f} mm/s; {swims})"
+            f" (95 %: {near:.1f} to {far:.1f} mm/s; {trials})"
         )
     need = (
         f"an effect of that size takes {repeats} swims on each side to see"
@@ -340,14 +340,14 @@ def _words(
     middle = f"{abs(difference):.1f} mm/s {'worse' if difference > 0 else 'better'}"
     return (
         f"no difference in {name} is shown: {b} is {middle} than {a}"
-        f" (95 %: {abs(low):.1f} better to {abs(high):.1f} worse; {swims}); {need}"
+        f" (95 %: {abs(low):.1f} better to {abs(high):.1f} worse; {trials}); {need}"
     )
 
 
-def _swims(swims: tuple[int, int], worse: tuple[int, int]) -> str:
+def _swims(trials: tuple[int, int], worse: tuple[int, int]) -> str:
     """How many, and how many of them stand out."""
     of = f", {worse[1]} and {worse[0]} of them worse than noise explains" if any(worse) else ""
-    return f"{swims[1]} swims against {swims[0]}{of}"
+    return f"{trials[1]} swims against {trials[0]}{of}"
 
 
 def other_differences(a: Experiment, b: Experiment) -> list[str]:

@@ -128,12 +128,12 @@ class TrialLibrary:
             found.append(found.pop(self._join(found, latest.read_bytes(), latest)))
         return [kept for _, kept in found], problems
 
-    def swims(self, latest: Path | None = None) -> list[TrialSpeeds]:
+    def speeds(self, latest: Path | None = None) -> list[TrialSpeeds]:
         """As the model sees them, without those that have no speed or were discarded."""
 
         counting = [kept.trial for kept in self.kept(latest)[0] if kept.mark != DISCARDED]
-        swims = [trial_speeds(trial) for trial in counting]
-        return [swim for swim in swims if swim.measured.any()]
+        known = [trial_speeds(trial) for trial in counting]
+        return [trial for trial in known if trial.measured.any()]
 
     def identified(self) -> Identified | None:
         """None when the fish has not been identified. Raises InputError: the file is damaged."""
@@ -337,7 +337,7 @@ def known_fish_of(library: TrialLibrary | None) -> KnownFish | None:
     if library is None:
         return None
     identified = library.identified()
-    return known_fish(identified, library.swims() if identified is None else ())
+    return known_fish(identified, library.speeds() if identified is None else ())
 
 
 def read_trials(folder: Path) -> tuple[list[Kept], list[str]]:

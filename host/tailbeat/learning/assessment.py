@@ -169,7 +169,7 @@ def rollback_words(best_trial: int = 0) -> str:
     """That the board went back to its best input by itself. Every place that shows what was learned
     says it with these words; ``best_trial`` 0 = not known which."""
     whose = f"trial {best_trial}'s amplitudes" if best_trial else "the best amplitudes"
-    return f"ROLLED BACK: worse twice in a row, so {whose} swim next"
+    return f"ROLLED BACK: worse twice in a row, so {whose} trial next"
 
 
 @dataclass(frozen=True)
@@ -302,7 +302,7 @@ def _without_runs(trials: Sequence[Trial], identified: Identified | None) -> lis
     if identified is None or identified.source != "runs":
         return list(trials)
 
-    runs = {swim_crc(swim) for swim in identified.swims}
+    runs = {swim_crc(one) for one in identified.trials}
     return [trial for trial in trials if swim_crc(trial_speeds(trial)) not in runs]
 
 

@@ -95,13 +95,13 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Belief:
-    """``swims``: those the fit rests on. ``refuted``: the last trial was not as predicted, or no
+    """``trials``: those the fit rests on. ``refuted``: the last trial was not as predicted, or no
     model explains it. ``chance``: of the last trial, by the prediction that was made for it.
     ``identified_imperfection``: as ``imperfection``, of the identification's swims."""
 
     identified: Identified
     prior: Prior
-    swims: tuple[TrialSpeeds, ...] = ()
+    trials: tuple[TrialSpeeds, ...] = ()
     fit: Fit | None = None
     refuted: bool = False
     chance: float = 1.0
@@ -127,28 +127,28 @@ class Belief:
     def imperfection(self) -> float:
         """Variance of what the model leaves out, over the usual one: as the trials' residuals tell
         it, which are set against some beats of the usual one."""
-        odd, beats = self._oddity(self.swims, self.fit)
+        odd, beats = self._oddity(self.trials, self.fit)
         return max(
             _IMPERFECT_MIN,
             (_IDENTIFIED_BEATS * self.identified_imperfection + odd) / (_IDENTIFIED_BEATS + beats),
         )
 
-    def _oddity(self, swims: Sequence[TrialSpeeds], found: Fit | None) -> tuple[float, int]:
+    def _oddity(self, trials: Sequence[TrialSpeeds], found: Fit | None) -> tuple[float, int]:
         """(sum over the measured beats of what is left out, squared and over the usual; beats)"""
         total, beats = 0.0, 0
-        for swim, residual in zip(swims, found.residual_m_s if found else (), strict=True):
+        for trial, residual in zip(trials, found.residual_m_s if found else (), strict=True):
             seen = np.isfinite(residual)
-            excess = residual**2 - swim.sigma_m_s**2
-            total += float(np.sum((excess / self._usual(swim.amplitude_rad))[seen]))
+            excess = residual**2 - trial.sigma_m_s**2
+            total += float(np.sum((excess / self._usual(trial.amplitude_rad))[seen]))
             beats += int(seen.sum())
         return total, beats
 
     def begun(self) -> Belief:
         """With the imperfection that the identification's own swims show."""
-        swims = [swim for swim in self.identified.swims if swim.measured.any()]
-        if not swims:
+        trials = [trial for trial in self.identified.trials if trial.measured.any()]
+        if not trials:
             return self
-        odd, beats = self._oddity(swims, fit(swims, self.prior, self.identified.scatter))
+        odd, beats = self._oddity(trials, fit(trials, self.prior, self.identified.scatter))
         return replace(
             self,
             identified_imperfection=max(
@@ -181,14 +181,14 @@ class Belief:
         share = max(self.imperfection, imperfect_min)
         mean, variance = np.zeros(beats), np.zeros(beats)
         last: F64 | None = None
-        swims = zip(self.swims, self.fit.residual_m_s if self.fit else (), strict=True)
-        for swim, residual in swims:
-            if swim.reference_crc != reference_crc or swim.beats != beats:
+        trials = zip(self.trials, self.fit.residual_m_s if self.fit else (), strict=True)
+        for trial, residual in trials:
+            if trial.reference_crc != reference_crc or trial.beats != beats:
                 continue
-            variance = variance + share * self._unknown(last, swim.amplitude_rad)
-            last = swim.amplitude_rad
+            variance = variance + share * self._unknown(last, trial.amplitude_rad)
+            last = trial.amplitude_rad
             seen = np.isfinite(residual)
-            noise = swim.sigma_m_s**2 + _NOISE_M_S**2
+            noise = trial.sigma_m_s**2 + _NOISE_M_S**2
             gain = np.where(seen, variance / (variance + noise), 0.0)
             mean = mean + gain * np.where(seen, residual - mean, 0.0)
             variance = (1 - gain) * variance
@@ -221,9 +221,9 @@ class Belief:
         """``sigma_m_s``: the measurement's. ``imperfect_min``: as for ``disturbance``."""
         beats = len(amplitude_rad)
         sigma = np.broadcast_to(np.asarray(sigma_m_s, dtype=np.float64), (beats,))
-        swim = TrialSpeeds(amplitude_rad, np.full(beats, np.nan), sigma, beat_s)
+        trial = TrialSpeeds(amplitude_rad, np.full(beats, np.nan), sigma, beat_s)
         scatter = self.identified.scatter
-        speed, by = speed_and_slopes(self.model, swim, self.typical)
+        speed, by = speed_and_slopes(self.model, trial, self.typical)
         swims_differ = [_STD_ABS * scatter.start_m_s, scatter.flow_m_s, scatter.gain]
         root = np.linalg.cholesky(self.covariance + _TINY * np.eye(len(PARAMS)))
         factors = np.hstack([by[:, : len(PARAMS)] @ root, by[:, len(PARAMS) :] * swims_differ])
@@ -238,29 +238,29 @@ class Belief:
         p = self.prior
         return np.diag([p.kappa, p.slope, p.dead_zone_rad, p.delay_s]) ** 2
 
-    def after(self, swim: TrialSpeeds) -> Belief:
+    def after(self, trial: TrialSpeeds) -> Belief:
         """With one more trial. It is tested as if the model were as imperfect as usual: what some
         trials did not show is seldom reason enough for P."""
         found = self.predict(
-            swim.amplitude_rad, swim.beat_s, swim.reference_crc, swim.sigma_m_s, _USUAL
+            trial.amplitude_rad, trial.beat_s, trial.reference_crc, trial.sigma_m_s, _USUAL
         )
-        chance = found.chance(swim.speed_m_s)
-        if not self.swims:
-            return self._resting_on((swim,), chance, refuted=False)
+        chance = found.chance(trial.speed_m_s)
+        if not self.trials:
+            return self._resting_on((trial,), chance, refuted=False)
         if chance < FALSE_ALARM:
-            return self._resting_on((swim,), chance, refuted=True)
-        return self._resting_on((*self.swims, swim)[-MEMORY_SWIMS:], chance, refuted=False)
+            return self._resting_on((trial,), chance, refuted=True)
+        return self._resting_on((*self.trials, trial)[-MEMORY_SWIMS:], chance, refuted=False)
 
-    def _resting_on(self, swims: tuple[TrialSpeeds, ...], chance: float, refuted: bool) -> Belief:
+    def _resting_on(self, trials: tuple[TrialSpeeds, ...], chance: float, refuted: bool) -> Belief:
         priors = [_prior(self.identified, far) for far in (AGED, OTHER)]
-        fits = [fit(swims, prior, self.identified.scatter) for prior in priors]
+        fits = [fit(trials, prior, self.identified.scatter) for prior in priors]
         found, prior = max(zip(fits, priors, strict=True), key=lambda one: one[0].log_evidence)
-        speeds = np.concatenate([swim.speed_m_s[swim.measured] for swim in swims])
+        speeds = np.concatenate([trial.speed_m_s[trial.measured] for trial in trials])
         nonsense = found.rms_m_s > _MISFIT * float(np.sqrt(np.mean(speeds**2)))
         return Belief(
             self.identified,
             prior,
-            swims,
+            trials,
             found,
             refuted or nonsense,
             chance,
@@ -268,12 +268,12 @@ class Belief:
         )
 
 
-def believe(identified: Identified, swims: Sequence[TrialSpeeds]) -> Belief:
-    """After ``swims``, oldest first, of which the last 24 count; those without a speed tell
+def believe(identified: Identified, trials: Sequence[TrialSpeeds]) -> Belief:
+    """After ``trials``, oldest first, of which the last 24 count; those without a speed tell
     nothing."""
     belief = Belief(identified, _prior(identified, AGED)).begun()
-    for swim in [swim for swim in swims if swim.measured.any()][-2 * MEMORY_SWIMS :]:
-        belief = belief.after(swim)
+    for trial in [trial for trial in trials if trial.measured.any()][-2 * MEMORY_SWIMS :]:
+        belief = belief.after(trial)
     return belief
 
 

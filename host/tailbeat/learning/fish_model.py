@@ -146,11 +146,11 @@ def trial_speeds(trial: Trial) -> TrialSpeeds:
     )
 
 
-def last_input(swims: Sequence[TrialSpeeds], beats: int) -> F64:
-    """The amplitudes that were executed last, beat by beat, by ``swims`` of one reference: what
+def last_input(trials: Sequence[TrialSpeeds], beats: int) -> F64:
+    """The amplitudes that were executed last, beat by beat, by ``trials`` of one reference: what
     lies beyond an early end is of an earlier trial, NaN where no trial came so far."""
     amplitude = np.full(beats, np.nan)
-    for swim in swims:
-        end = beats if swim.swum_beats is None else swim.swum_beats
-        amplitude[:end] = swim.amplitude_rad[:end]
+    for trial in trials:
+        end = beats if trial.swum_beats is None else trial.swum_beats
+        amplitude[:end] = trial.amplitude_rad[:end]
     return amplitude

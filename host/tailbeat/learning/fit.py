@@ -83,17 +83,17 @@ _BLOCK_BEATS = 3
 
 
 def fit(
-    swims: Sequence[TrialSpeeds], prior: Prior | None = None, scatter: Scatter | None = None
+    trials: Sequence[TrialSpeeds], prior: Prior | None = None, scatter: Scatter | None = None
 ) -> Fit:
     """The most probable model. Raises InputError when no beat has a speed.
 
     Costs about 5 ms for four trials of 40 beats.
     """
-    if not any(swim.measured.any() for swim in swims):
+    if not any(trial.measured.any() for trial in trials):
         raise InputError(
             "no beat of these trials has a speed.", "Look at the camera, or upload the speeds."
         )
-    problem = _Problem(swims, prior or Prior(), scatter or Scatter())
+    problem = _Problem(trials, prior or Prior(), scatter or Scatter())
     return problem.solved(_levenberg_marquardt(problem))
 
 
@@ -110,7 +110,7 @@ def sample(found: Fit, count: int = 40, seed: int = 1) -> list[FishModel]:
 
 
 def bootstrap(
-    swims: Sequence[TrialSpeeds],
+    trials: Sequence[TrialSpeeds],
     found: Fit,
     count: int = 40,
     seed: int = 1,
@@ -125,23 +125,23 @@ def bootstrap(
     models = []
     for _ in range(count):
         again = [
-            _swum_again(swim, found.model, residual, differ, rng)
-            for swim, residual in zip(swims, found.residual_m_s, strict=True)
+            _swum_again(trial, found.model, residual, differ, rng)
+            for trial, residual in zip(trials, found.residual_m_s, strict=True)
         ]
         models.append(fit(again, prior, scatter).model)
     return models
 
 
 def _swum_again(
-    swim: TrialSpeeds, model: FishModel, residual: F64, differ: Scatter, rng: np.random.Generator
+    trial: TrialSpeeds, model: FishModel, residual: F64, differ: Scatter, rng: np.random.Generator
 ) -> TrialSpeeds:
-    speed = model.beats(swim.amplitude_rad, swim.beat_s, differ.draw(rng))
+    speed = model.beats(trial.amplitude_rad, trial.beat_s, differ.draw(rng))
     known = residual[np.isfinite(residual)]
-    blocks = -(-swim.beats // _BLOCK_BEATS)
+    blocks = -(-trial.beats // _BLOCK_BEATS)
     begins = rng.integers(0, max(len(known) - _BLOCK_BEATS, 0) + 1, blocks)
-    places = (begins[:, None] + np.arange(_BLOCK_BEATS)).ravel()[: swim.beats]
-    drawn = known[np.minimum(places, len(known) - 1)] if len(known) else np.zeros(swim.beats)
-    return replace(swim, speed_m_s=np.where(swim.measured, speed + drawn, np.nan))
+    places = (begins[:, None] + np.arange(_BLOCK_BEATS)).ravel()[: trial.beats]
+    drawn = known[np.minimum(places, len(known) - 1)] if len(known) else np.zeros(trial.beats)
+    return replace(trial, speed_m_s=np.where(trial.measured, speed + drawn, np.nan))
 
 
 def vector_of(model: FishModel) -> F64:
@@ -167,22 +167,22 @@ class _Problem:
     """Residuals over sigma and their Jacobian, as functions of one vector: the four shared numbers,
     then (start, flow, log gain) of every trial."""
 
-    def __init__(self, swims: Sequence[TrialSpeeds], prior: Prior, scatter: Scatter) -> None:
-        self.swims = swims
-        self.sigma = [beat_sigma(swim, prior.model, scatter) for swim in swims]
+    def __init__(self, trials: Sequence[TrialSpeeds], prior: Prior, scatter: Scatter) -> None:
+        self.trials = trials
+        self.sigma = [beat_sigma(trial, prior.model, scatter) for trial in trials]
         differ = [
             max(scatter.start_m_s, _START_SIGMA_MIN_M_S),
             max(scatter.flow_m_s, _SIGMA_MIN),
             max(scatter.gain, _SIGMA_MIN),
         ]
         believed = [prior.kappa, prior.slope, prior.dead_zone_rad, prior.delay_s]
-        self.centre = np.r_[vector_of(prior.model), np.zeros(_CONDITIONS * len(swims))]
-        self.spread = np.r_[believed, differ * len(swims)]
+        self.centre = np.r_[vector_of(prior.model), np.zeros(_CONDITIONS * len(trials))]
+        self.spread = np.r_[believed, differ * len(trials)]
         self.low = np.r_[math.log(_KAPPA_RANGE[0]), -np.inf, 0.0, 0.0,
-                         [0.0, -np.inf, -np.inf] * len(swims)]  # fmt: skip
-        beat_s = swims[0].beat_s
+                         [0.0, -np.inf, -np.inf] * len(trials)]  # fmt: skip
+        beat_s = trials[0].beat_s
         self.high = np.r_[math.log(_KAPPA_RANGE[1]), np.inf, np.pi / 2, _DELAY_MAX_BEATS * beat_s,
-                          np.full(_CONDITIONS * len(swims), np.inf)]  # fmt: skip
+                          np.full(_CONDITIONS * len(trials), np.inf)]  # fmt: skip
 
     def conditions(self, x: F64, index: int) -> Conditions:
         start, flow, log_gain = x[_SHARED + _CONDITIONS * index :][:_CONDITIONS]
@@ -193,10 +193,10 @@ class _Problem:
         model = model_of(x[:_SHARED])
         prior = (x - self.centre) / self.spread
         rows, slopes = [prior], [np.diag(1 / self.spread)]
-        for index, (swim, sigma) in enumerate(zip(self.swims, self.sigma, strict=True)):
-            speed, by = speed_and_slopes(model, swim, self.conditions(x, index))
-            seen = swim.measured
-            rows.append((speed[seen] - swim.speed_m_s[seen]) / sigma[seen])
+        for index, (trial, sigma) in enumerate(zip(self.trials, self.sigma, strict=True)):
+            speed, by = speed_and_slopes(model, trial, self.conditions(x, index))
+            seen = trial.measured
+            rows.append((speed[seen] - trial.speed_m_s[seen]) / sigma[seen])
             wide = np.zeros((int(seen.sum()), len(x)))
             wide[:, :_SHARED] = by[seen, :_SHARED] / sigma[seen, None]
             at = _SHARED + _CONDITIONS * index
@@ -210,10 +210,10 @@ class _Problem:
         normal = jacobian.T @ jacobian
         covariance = np.linalg.inv(normal)[:_SHARED, :_SHARED]
         narrowed = float(np.linalg.slogdet(normal)[1]) / 2 + float(np.log(self.spread).sum())
-        conditions = [self.conditions(x, index) for index in range(len(self.swims))]
+        conditions = [self.conditions(x, index) for index in range(len(self.trials))]
         residual = [
-            swim.speed_m_s - model.beats(swim.amplitude_rad, swim.beat_s, given)
-            for swim, given in zip(self.swims, conditions, strict=True)
+            trial.speed_m_s - model.beats(trial.amplitude_rad, trial.beat_s, given)
+            for trial, given in zip(self.trials, conditions, strict=True)
         ]
         together = np.concatenate(residual)
         known = together[np.isfinite(together)]
@@ -228,10 +228,10 @@ class _Problem:
         )
 
 
-def beat_sigma(swim: TrialSpeeds, model: FishModel, scatter: Scatter) -> F64:
+def beat_sigma(trial: TrialSpeeds, model: FishModel, scatter: Scatter) -> F64:
     """Standard deviation of measured minus modelled speed per beat, conditions known."""
-    switched = scatter.switch * steepness(model.steady_m_s(swim.amplitude_rad))
-    sigma: F64 = np.sqrt(swim.sigma_m_s**2 + scatter.model_m_s**2 + switched**2)
+    switched = scatter.switch * steepness(model.steady_m_s(trial.amplitude_rad))
+    sigma: F64 = np.sqrt(trial.sigma_m_s**2 + scatter.model_m_s**2 + switched**2)
     return sigma
 
 
@@ -242,15 +242,15 @@ def steepness(steady_m_s: F64) -> F64:
     return steepest
 
 
-def speed_and_slopes(model: FishModel, swim: TrialSpeeds, given: Conditions) -> tuple[F64, F64]:
+def speed_and_slopes(model: FishModel, trial: TrialSpeeds, given: Conditions) -> tuple[F64, F64]:
     """Beat means and their derivatives by (log kappa, log slope, dead zone, delay, start, flow, log
     gain)."""
-    steady = given.gain * model.steady_m_s(swim.amplitude_rad)
+    steady = given.gain * model.steady_m_s(trial.amplitude_rad)
     w = steady**2
-    distance, by_w, by_model = model.distance(w, swim.beat_s, given.start_m_s, slopes=True)
+    distance, by_w, by_model = model.distance(w, trial.beat_s, given.start_m_s, slopes=True)
     assert by_w is not None and by_model is not None
-    mean_by_w = np.diff(by_w, axis=0) / swim.beat_s
-    mean_by_model = np.diff(by_model, axis=0) / swim.beat_s
+    mean_by_w = np.diff(by_w, axis=0) / trial.beat_s
+    mean_by_model = np.diff(by_model, axis=0) / trial.beat_s
     by_log_scale = mean_by_w @ (2 * w)
     columns = [
         mean_by_model[:, 0] * model.kappa_per_m,
@@ -258,10 +258,10 @@ def speed_and_slopes(model: FishModel, swim: TrialSpeeds, given: Conditions) -> 
         mean_by_w @ (-2 * steady * given.gain * model.slope_m_s_rad),
         mean_by_model[:, 1],
         mean_by_model[:, 2],
-        np.ones(swim.beats),
+        np.ones(trial.beats),
         by_log_scale,
     ]
-    return np.diff(distance) / swim.beat_s + given.flow_m_s, np.column_stack(columns)
+    return np.diff(distance) / trial.beat_s + given.flow_m_s, np.column_stack(columns)
 
 
 def _levenberg_marquardt(problem: _Problem) -> F64:

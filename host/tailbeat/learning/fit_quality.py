@@ -53,18 +53,18 @@ class Disturbance:
         return f"{spans(self.beats)} {verb} by {self.by_m_s * 1e3:+.0f} mm/s: a bump or a wave?"
 
 
-def disturbance_of(swim: TrialSpeeds) -> Disturbance | None:
+def disturbance_of(trial: TrialSpeeds) -> Disturbance | None:
     """The largest one; None: there is none, or too little was measured to tell."""
-    known = np.flatnonzero(swim.measured)
+    known = np.flatnonzero(trial.measured)
     if len(known) < _BEATS_MIN:
         return None
     try:
-        off = _missed(swim)[known]
+        off = _missed(trial)[known]
     except InputError:
         return None  # no fish swims like that; what else is wrong with it is said elsewhere
     jumps = np.diff(off)
     scatter = _MAD * float(np.median(np.abs(jumps)))
-    sigma = float(np.median(swim.sigma_m_s[known]))
+    sigma = float(np.median(trial.sigma_m_s[known]))
     at = int(np.argmax(np.abs(jumps)))
     if abs(jumps[at]) <= max(_JUMP_M_S, _SCATTERS * scatter, _SIGMAS * sigma):
         return None
@@ -73,13 +73,13 @@ def disturbance_of(swim: TrialSpeeds) -> Disturbance | None:
     return Disturbance(range(int(known[first]), int(known[last]) + 1), by_m_s)
 
 
-def _missed(swim: TrialSpeeds) -> F64:
+def _missed(trial: TrialSpeeds) -> F64:
     """Speed less the model's, per beat."""
-    known, used = swim.measured, swim.measured
+    known, used = trial.measured, trial.measured
     for _ in range(_FITS):
-        found = fit([replace(swim, speed_m_s=np.where(used, swim.speed_m_s, np.nan))])
-        told = found.model.beats(swim.amplitude_rad, swim.beat_s, found.conditions[0])
-        off: F64 = swim.speed_m_s - told
+        found = fit([replace(trial, speed_m_s=np.where(used, trial.speed_m_s, np.nan))])
+        told = found.model.beats(trial.amplitude_rad, trial.beat_s, found.conditions[0])
+        off: F64 = trial.speed_m_s - told
         usual = _MAD * float(np.median(np.abs(off[known])))
         fits = known & (np.abs(off) < max(_FITS_M_S, _FITS_MADS * usual))
         if np.array_equal(fits, used) or 2 * fits.sum() < known.sum():
@@ -143,7 +143,7 @@ class Account:
     identified: Identified
     rms_m_s: float
     beats: int
-    swims: list[SwimAccount]
+    trials: list[SwimAccount]
     steady: tuple[F64, F64]
     battery_v: tuple[float, float] | None
     warnings: list[str]
@@ -173,16 +173,16 @@ class Account:
             "battery_max_v": battery[1],
             "runs": [
                 {
-                    "trial": swim.trial,
-                    "amplitude_max_rad": swim.top_rad,
-                    "beats": len(swim.amplitude_rad),
-                    "way_m": swim.way_m,
-                    "battery_v": swim.battery_v,
-                    "amplitude_rad": swim.amplitude_rad,
-                    "speed_m_s": swim.speed_m_s,
-                    "model_m_s": swim.model_m_s,
+                    "trial": trial.trial,
+                    "amplitude_max_rad": trial.top_rad,
+                    "beats": len(trial.amplitude_rad),
+                    "way_m": trial.way_m,
+                    "battery_v": trial.battery_v,
+                    "amplitude_rad": trial.amplitude_rad,
+                    "speed_m_s": trial.speed_m_s,
+                    "model_m_s": trial.model_m_s,
                 }
-                for swim in self.swims
+                for trial in self.trials
             ],
             "warnings": self.warnings,
         }
@@ -190,20 +190,22 @@ class Account:
 
 def account_of(identified: Identified, prior: Prior | None = None) -> Account:
     """The account of a fish identified from trials, with the prior it was identified with."""
-    swims = identified.swims
-    found = fit(swims, prior, identified.scatter)
+    trials = identified.trials
+    found = fit(trials, prior, identified.scatter)
     accounts = [
-        SwimAccount(**vars(swim), model_m_s=found.model.beats(swim.amplitude_rad, swim.beat_s, day))
-        for swim, day in zip(swims, found.conditions, strict=True)
+        SwimAccount(
+            **vars(trial), model_m_s=found.model.beats(trial.amplitude_rad, trial.beat_s, day)
+        )
+        for trial, day in zip(trials, found.conditions, strict=True)
     ]
-    volts = [swim.battery_v for swim in swims if swim.battery_v is not None]
+    volts = [trial.battery_v for trial in trials if trial.battery_v is not None]
     battery = (min(volts), max(volts)) if volts else None
     return Account(
         identified=identified,
         rms_m_s=found.rms_m_s,
         beats=found.beats,
-        swims=accounts,
-        steady=steady_points(swims),
+        trials=accounts,
+        steady=steady_points(trials),
         battery_v=battery,
         warnings=_warnings(identified, found.rms_m_s, battery),
     )
@@ -240,23 +242,23 @@ def _too_wide(identified: Identified) -> dict[str, tuple[float, str, str]]:
     return found
 
 
-def steady_points(swims: Sequence[TrialSpeeds]) -> tuple[F64, F64]:
+def steady_points(trials: Sequence[TrialSpeeds]) -> tuple[F64, F64]:
     """(amplitude_rad, speed_m_s) of every stretch of one amplitude long enough to be steady."""
     points = []
-    for swim in swims:
-        edges = np.flatnonzero(np.diff(swim.amplitude_rad)) + 1
-        for stretch in np.split(np.arange(swim.beats), edges):
+    for trial in trials:
+        edges = np.flatnonzero(np.diff(trial.amplitude_rad)) + 1
+        for stretch in np.split(np.arange(trial.beats), edges):
             later = stretch[(len(stretch) + 1) // 2 :]
-            later = later[swim.measured[later]]
+            later = later[trial.measured[later]]
             if len(stretch) >= _STEADY_BEATS and later.size:
-                points.append((swim.amplitude_rad[stretch[0]], swim.speed_m_s[later].mean()))
+                points.append((trial.amplitude_rad[stretch[0]], trial.speed_m_s[later].mean()))
     table = np.array([p for p in points if p[0] > 0 and p[1] > STILL_M_S]).reshape(-1, 2)
     return table[:, 0], table[:, 1]
 
 
 def with_drag(identified: Identified, fish: ThesisFish) -> Identified:
     """The same with the thesis's drag coefficient, where cruises were steady."""
-    amplitude, speed = steady_points(identified.swims)
+    amplitude, speed = steady_points(identified.trials)
     if not amplitude.size:
         return identified
     return replace(identified, alpha_kg_m=fish.drag_kg_m(amplitude, speed))
@@ -272,8 +274,8 @@ def from_trials(paths: Sequence[Path]) -> tuple[Identified, bool]:
         raise InputError(
             f"the trials are of {len(fish)} different boards.", "Give those of one fish."
         )
-    swims = [trial_speeds(trial) for trial in trials]
-    used = [swim for swim in swims if swim.measured.any()]
+    speeds = [trial_speeds(trial) for trial in trials]
+    used = [one for one in speeds if one.measured.any()]
     if not used:
         raise InputError(
             "no trial of these has a speed.", "Upload the speeds first: tailbeat trial speeds"

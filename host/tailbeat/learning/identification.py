@@ -48,7 +48,7 @@ class Identified:
     unique_id: str = ""
     made: str = ""
     alpha_kg_m: float | None = None
-    swims: list[TrialSpeeds] = field(default_factory=list)
+    trials: list[TrialSpeeds] = field(default_factory=list)
 
     @property
     def band(self) -> dict[str, tuple[float, float]]:
@@ -62,12 +62,12 @@ class Identified:
         cls,
         found: Fit,
         models: list[FishModel],
-        swims: list[TrialSpeeds],
+        trials: list[TrialSpeeds],
         source: str = "runs",
         unique_id: str = "",
         scatter: Scatter | None = None,
     ) -> Identified:
-        """From a fit of ``swims`` and models as likely (fitting.bootstrap or fitting.sample)."""
+        """From a fit of ``trials`` and models as likely (fitting.bootstrap or fitting.sample)."""
         return cls(
             model=found.model,
             models=models or [found.model],
@@ -76,7 +76,7 @@ class Identified:
             source=source,
             unique_id=unique_id,
             made=datetime.now().astimezone().isoformat(timespec="seconds"),
-            swims=swims,
+            trials=trials,
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -85,7 +85,7 @@ class Identified:
         models = [list(asdict(model).values()) for model in self.models]
         values = {name: getattr(self, name) for name in (*names, "covariance", "scatter")}
         found: dict[str, Any] = plain(
-            {"format": _FORMAT, **values, "models": models, "swims": self.swims}
+            {"format": _FORMAT, **values, "models": models, "swims": self.trials}
         )
         return found
 
@@ -118,7 +118,7 @@ def _checked(raw: dict[str, Any]) -> dict[str, Any]:
     numbers = [*covariance.ravel(), *(v for m in (raw["model"], *models) for v in m.values())]
     if covariance.shape != (4, 4) or not models or not all(map(math.isfinite, numbers)):
         raise ValueError("its numbers make no model")
-    return raw | {"models": models}
+    return raw | {"models": models, "trials": raw["swims"]}
 
 
 COLUMNS = ("amplitude_rad", "speed_m_s")

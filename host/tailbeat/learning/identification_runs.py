@@ -91,7 +91,7 @@ class IdentificationSeries:
     limits: Limits
     prior: Prior = field(default_factory=Prior)
     scatter: Scatter = field(default_factory=Scatter)
-    swims: list[TrialSpeeds] = field(default_factory=list)
+    trials: list[TrialSpeeds] = field(default_factory=list)
     found: Fit | None = None
     still_rad: float = 0.0
     cruised_rad: float | None = None
@@ -121,7 +121,7 @@ class IdentificationSeries:
     def next_run(self) -> IdentificationRun:
         """The next run. Raises InputError when none fits, or nothing ever moves."""
         kind = CRUISE if self.stage < len(FRACTIONS) else COAST
-        number = len(self.swims) + 1
+        number = len(self.trials) + 1
         wanted = self._amplitude(FRACTIONS[min(self.stage, len(FRACTIONS) - 1)])
         if number > _RUNS_MAX or self.still_rad >= wanted:
             raise InputError(
@@ -130,19 +130,19 @@ class IdentificationSeries:
             )
         return self._sized(number, kind, wanted)
 
-    def add(self, run: IdentificationRun, swim: TrialSpeeds) -> None:
+    def add(self, run: IdentificationRun, trial: TrialSpeeds) -> None:
         """What was measured. Raises InputError when it was nothing."""
-        if not swim.measured.any():
+        if not trial.measured.any():
             raise InputError(
                 f"run {run.number} has no speeds.", "Look at the camera; then identify again."
             )
-        self.swims.append(swim)
+        self.trials.append(trial)
         self.cruised_rad = run.cruise_rad
-        if not _moved(swim, run.cruise_rad):
+        if not _moved(trial, run.cruise_rad):
             self.still_rad = max(self.still_rad, run.cruise_rad)
             return
         self.stage += 1
-        self.found = fit.fit(self.swims, self.prior, self.scatter)
+        self.found = fit.fit(self.trials, self.prior, self.scatter)
 
     def _amplitude(self, fraction: float) -> float:
         """Between the dead zone and the limit; higher than what moved nothing."""
@@ -218,16 +218,16 @@ class IdentificationSeries:
         return np.concatenate([ramp, cruise, coast])
 
 
-def _moved(swim: TrialSpeeds, cruise_rad: float) -> bool:
+def _moved(trial: TrialSpeeds, cruise_rad: float) -> bool:
     """By the later half of the beats at the cruise amplitude."""
-    cruise = np.flatnonzero((swim.amplitude_rad >= 0.99 * cruise_rad) & swim.measured)
+    cruise = np.flatnonzero((trial.amplitude_rad >= 0.99 * cruise_rad) & trial.measured)
     later = cruise[len(cruise) // 2 :]
-    speed = swim.speed_m_s[later] if later.size else swim.speed_m_s[swim.measured]
+    speed = trial.speed_m_s[later] if later.size else trial.speed_m_s[trial.measured]
     return bool(np.mean(speed) > STILL_M_S)
 
 
 def identify_runs(
-    swim: Callable[[F64], TrialSpeeds],
+    trial: Callable[[F64], TrialSpeeds],
     limits: Limits,
     prior: Prior | None = None,
     scatter: Scatter | None = None,
@@ -239,19 +239,19 @@ def identify_runs(
 
     ``on_run`` is told of each run before it is executed. ``quick``: the models as likely are drawn
     from the fit's normal posterior only, not from a bootstrap too (a hundredth of the time).
-    Whatever ``swim`` or ``on_run`` raises passes through.
+    Whatever ``trial`` or ``on_run`` raises passes through.
     """
     course = IdentificationSeries(limits, prior or Prior(), scatter or Scatter())
     while not course.done:
         run = course.next_run()
         if on_run is not None:
             on_run(run)
-        course.add(run, swim(run.amplitude_rad))
-    return identify_swims(course.swims, course.prior, course.scatter, "runs", unique_id, quick)
+        course.add(run, trial(run.amplitude_rad))
+    return identify_swims(course.trials, course.prior, course.scatter, "runs", unique_id, quick)
 
 
 def identify_swims(
-    swims: Sequence[TrialSpeeds],
+    trials: Sequence[TrialSpeeds],
     prior: Prior | None = None,
     scatter: Scatter | None = None,
     source: str = "trials",
@@ -260,10 +260,10 @@ def identify_swims(
 ) -> Identified:
     """From swims of any kind that exist. Raises InputError when no beat of them has a speed."""
     prior, scatter = prior or Prior(), scatter or Scatter()
-    found = fit.fit(swims, prior, scatter)
+    found = fit.fit(trials, prior, scatter)
     models = fit.sample(found, _MODELS)
     if not quick:
         # Alone either is a little narrow: the bootstrap when a few trials happen to be alike, the
         # posterior when the model leaves something out.
-        models += fit.bootstrap(swims, found, _MODELS, prior=prior, scatter=scatter)
-    return Identified.of(found, models, list(swims), source, unique_id, scatter)
+        models += fit.bootstrap(trials, found, _MODELS, prior=prior, scatter=scatter)
+    return Identified.of(found, models, list(trials), source, unique_id, scatter)

@@ -66,7 +66,7 @@ def expected_series(
 
 
 def _camera_sigma(identified: Identified) -> float:
-    seen = [swim.sigma_m_s[swim.measured] for swim in identified.swims]
+    seen = [trial.sigma_m_s[trial.measured] for trial in identified.trials]
     known = np.concatenate(seen) if seen else np.empty(0)
     return float(np.median(known)) if known.size else SIGMA_M_S
 
@@ -93,33 +93,33 @@ def _learn(
 
 
 def next_ratio(
-    identified: Identified, reference: Reference, swim: TrialSpeeds, amplitude_rad: F64
+    identified: Identified, reference: Reference, trial: TrialSpeeds, amplitude_rad: F64
 ) -> tuple[float, float]:
-    """90 % interval of (max|e| of the next trial with ``amplitude_rad``) / (that of ``swim``), by
+    """90 % interval of (max|e| of the next trial with ``amplitude_rad``) / (that of ``trial``), by
     the models of the set and the scatter of trials.
 
-    ``amplitude_rad``: as the tail will do it, one per beat. What ``swim`` differs from a model is
+    ``amplitude_rad``: as the tail will do it, one per beat. What ``trial`` differs from a model is
     divided into what will come again (the model's imperfection) and what was of that trial alone
     (its gain, flow, start and measurement) by how likely each is; models that explain the trial
     badly count less. A sigma that is not known is taken to be the others'. The ends are taken at 3
     and 97 %: the fish itself is never in the set.
-    Deterministic. Raises InputError when no beat of ``swim`` was measured.
+    Deterministic. Raises InputError when no beat of ``trial`` was measured.
     """
     wanted = reference.speed_m_s.astype(np.float64)
-    seen = swim.measured
+    seen = trial.measured
     if not seen.any():
         raise InputError("the trial has no speed.", "Upload the speeds of the trial.")
-    swim = _with_sigmas(swim)
-    before = float(np.abs(wanted - swim.speed_m_s)[seen].max())
+    trial = _with_sigmas(trial)
+    before = float(np.abs(wanted - trial.speed_m_s)[seen].max())
     rng = np.random.default_rng(_SEED)
     models = [identified.model, *identified.models]
-    guesses = [_Guess.of(model, identified.scatter, swim) for model in models]
+    guesses = [_Guess.of(model, identified.scatter, trial) for model in models]
     likely = np.array([guess.log_likelihood for guess in guesses])
     share = np.exp((likely - likely.max()) / max(int(seen.sum()) / _EFFECTIVE_BEATS, 1.0))
     counts = rng.multinomial(_DRAWS, share / share.sum())
     ratios = np.concatenate(
         [
-            np.abs(wanted - guess.next_speeds(amplitude_rad, swim, identified.scatter, n, rng))
+            np.abs(wanted - guess.next_speeds(amplitude_rad, trial, identified.scatter, n, rng))
             .max(axis=1)
             for guess, n in zip(guesses, counts, strict=True)
             if n
@@ -129,11 +129,11 @@ def next_ratio(
     return float(low), float(high)
 
 
-def _with_sigmas(swim: TrialSpeeds) -> TrialSpeeds:
+def _with_sigmas(trial: TrialSpeeds) -> TrialSpeeds:
     """Unmeasured beats may have none; the next trial will measure them, too."""
-    known = np.isfinite(swim.sigma_m_s)
-    usual = float(np.median(swim.sigma_m_s[known])) if known.any() else SIGMA_M_S
-    return replace(swim, sigma_m_s=np.where(known, swim.sigma_m_s, usual))
+    known = np.isfinite(trial.sigma_m_s)
+    usual = float(np.median(trial.sigma_m_s[known])) if known.any() else SIGMA_M_S
+    return replace(trial, sigma_m_s=np.where(known, trial.sigma_m_s, usual))
 
 
 @dataclass(frozen=True)
@@ -150,12 +150,12 @@ class _Guess:
     log_likelihood: float
 
     @classmethod
-    def of(cls, model: FishModel, scatter: Scatter, swim: TrialSpeeds) -> _Guess:
-        seen = swim.measured
-        speed, conditions = _conditions_part(model, scatter, swim.amplitude_rad, swim.beat_s)
-        misfit = (swim.speed_m_s - speed)[seen]
-        imperfect = _imperfection(model, scatter, swim, misfit, conditions)
-        alone = swim.sigma_m_s**2 + (1 - _COMES_AGAIN) * imperfect
+    def of(cls, model: FishModel, scatter: Scatter, trial: TrialSpeeds) -> _Guess:
+        seen = trial.measured
+        speed, conditions = _conditions_part(model, scatter, trial.amplitude_rad, trial.beat_s)
+        misfit = (trial.speed_m_s - speed)[seen]
+        imperfect = _imperfection(model, scatter, trial, misfit, conditions)
+        alone = trial.sigma_m_s**2 + (1 - _COMES_AGAIN) * imperfect
         repeats = _COMES_AGAIN * imperfect
         total = np.diag(repeats + alone) + conditions @ conditions.T
         inverse: F64 = np.linalg.inv(total[np.ix_(seen, seen)]).astype(np.float64)
@@ -164,15 +164,15 @@ class _Guess:
         return cls(model, misfit, conditions, repeats, alone, inverse, likely)
 
     def next_speeds(
-        self, amplitude_rad: F64, swim: TrialSpeeds, scatter: Scatter, count: int, rng: Generator
+        self, amplitude_rad: F64, trial: TrialSpeeds, scatter: Scatter, count: int, rng: Generator
     ) -> F64:
         """Measured speeds of ``count`` possible next trials, shape (count, beats)."""
-        beats, seen = len(self.repeats), swim.measured
+        beats, seen = len(self.repeats), trial.measured
         again = rng.standard_normal((count, beats)) * np.sqrt(self.repeats)
         own = self._own(self.conditions, count, rng)
         gap = self.misfit_m_s - (again + own)[:, seen]
         again[:, seen] += gap @ self.inverse * self.repeats[seen]
-        speed, conditions = _conditions_part(self.model, scatter, amplitude_rad, swim.beat_s)
+        speed, conditions = _conditions_part(self.model, scatter, amplitude_rad, trial.beat_s)
         following: F64 = speed + again + self._own(conditions, count, rng)
         return following
 
@@ -185,12 +185,12 @@ class _Guess:
 
 
 def _imperfection(
-    model: FishModel, scatter: Scatter, swim: TrialSpeeds, misfit: F64, conditions: F64
+    model: FishModel, scatter: Scatter, trial: TrialSpeeds, misfit: F64, conditions: F64
 ) -> F64:
     """Variance per beat of what the model leaves out; more than usual when the trial shows it."""
-    seen = swim.measured
-    usual = beat_sigma(swim, model, scatter) ** 2 - swim.sigma_m_s**2
-    explained = np.sum(swim.sigma_m_s[seen] ** 2) + np.sum(conditions[seen] ** 2)
+    seen = trial.measured
+    usual = beat_sigma(trial, model, scatter) ** 2 - trial.sigma_m_s**2
+    explained = np.sum(trial.sigma_m_s[seen] ** 2) + np.sum(conditions[seen] ** 2)
     factor = (misfit @ misfit - explained) / max(float(np.sum(usual[seen])), _TINY)
     scaled: F64 = usual * max(1.0, float(factor))
     return scaled

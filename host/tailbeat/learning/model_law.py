@@ -75,20 +75,20 @@ def propose(
     identified: Identified,
     reference: Reference,
     amplitude_max_rad: float,
-    swims: Sequence[TrialSpeeds] = (),
+    trials: Sequence[TrialSpeeds] = (),
     fallback: Law | None = None,
     step_max_rad: float = 0.0,
 ) -> Proposal:
-    """``swims``: all that were executed since the identification, oldest first, of this reference
+    """``trials``: all that were executed since the identification, oldest first, of this reference
     (by CRC) and others. ``fallback``: the P law (default: gain 4, lead 1 beat). ``step_max_rad``:
     the most a beat's amplitude may differ from that of the last trial of this reference, 0 = any.
 
     Costs some 10 ms, and 15 ms per trial of 40 beats. Raises InputError when
     ``amplitude_max_rad`` makes no sense or a trial has other beats than the reference it names.
     """
-    belief = believe(identified, swims)
+    belief = believe(identified, trials)
     wanted = reference.speed_m_s.astype(np.float64)
-    own = _swims_of(reference, swims)
+    own = _swims_of(reference, trials)
     recorded = last_input(own, reference.beats)
     low, high = _limits(recorded, amplitude_max_rad, step_max_rad)
     law = "p" if belief.refuted and own else "model"
@@ -99,7 +99,7 @@ def propose(
     if step_max_rad > 0:
         amplitude = _ready(amplitude, belief.model, amplitude_max_rad)
     amplitude = np.clip(amplitude, low, high)
-    found = belief.predict(amplitude, reference.beat_s, reference.crc, _sigma(identified, swims))
+    found = belief.predict(amplitude, reference.beat_s, reference.crc, _sigma(identified, trials))
     band = found.band()
     pushes = np.fmax(amplitude, recorded) > belief.model.dead_zone_rad
     held = pushes & (np.abs(amplitude - recorded) >= step_max_rad * (1 - 1e-9))
@@ -114,33 +114,35 @@ def propose(
         disturbance_m_s=belief.disturbance(reference.crc, reference.beats)[0],
         law=law,
         reason=_reason(belief, law),
-        trials=tuple(swim.trial for swim in belief.swims),
+        trials=tuple(trial.trial for trial in belief.trials),
         chance=belief.chance,
         limited_beats=limited,
     )
 
 
 def predicted_before(
-    identified: Identified, reference: Reference, swims: Sequence[TrialSpeeds]
+    identified: Identified, reference: Reference, trials: Sequence[TrialSpeeds]
 ) -> tuple[float, float, float] | None:
-    """max|e| of the last of ``swims`` by what was known before it, over the beats that it has: 5 %,
+    """max|e| of the last of ``trials`` by what was known before, over the beats that it has: 5 %,
     median, 95 %, m/s. None when it was not of this reference or not measured."""
-    if not swims or swims[-1].reference_crc != reference.crc or not swims[-1].measured.any():
+    if not trials or trials[-1].reference_crc != reference.crc or not trials[-1].measured.any():
         return None
-    last = swims[-1]
+    last = trials[-1]
     sigma = float(np.median(last.sigma_m_s[last.measured]))
-    known = believe(identified, swims[:-1])
+    known = believe(identified, trials[:-1])
     found = known.predict(last.amplitude_rad, last.beat_s, last.reference_crc, sigma)
     return found.max_abs_error(reference.speed_m_s.astype(np.float64), last.measured)
 
 
-def _swims_of(reference: Reference, swims: Sequence[TrialSpeeds]) -> list[TrialSpeeds]:
+def _swims_of(reference: Reference, trials: Sequence[TrialSpeeds]) -> list[TrialSpeeds]:
     """Those of this reference."""
-    own = [swim for swim in swims if swim.reference_crc == reference.crc and swim.measured.any()]
-    for swim in own:
-        if swim.beats != reference.beats:
+    own = [
+        trial for trial in trials if trial.reference_crc == reference.crc and trial.measured.any()
+    ]
+    for trial in own:
+        if trial.beats != reference.beats:
             raise InputError(
-                f"trial {swim.trial} has {swim.beats} beats, its reference {reference.beats}.",
+                f"trial {trial.trial} has {trial.beats} beats, its reference {reference.beats}.",
                 "Its file is damaged; take it away.",
             )
     return own
@@ -194,17 +196,17 @@ def _p_step(
     return np.clip(following.astype(np.float64), 0.0, amplitude_max_rad)
 
 
-def _sigma(identified: Identified, swims: Sequence[TrialSpeeds]) -> float:
+def _sigma(identified: Identified, trials: Sequence[TrialSpeeds]) -> float:
     """What the next trial will probably be measured with."""
-    for swim in [*identified.swims, *swims][::-1]:
-        known = swim.sigma_m_s[np.isfinite(swim.sigma_m_s)]
+    for trial in [*identified.trials, *trials][::-1]:
+        known = trial.sigma_m_s[np.isfinite(trial.sigma_m_s)]
         if known.size:
             return float(np.median(known))
     return SIGMA_M_S
 
 
 def _reason(belief: Belief, law: str) -> str:
-    count = len(belief.swims)
+    count = len(belief.trials)
     if law == "p":
         return "the last trial was not as the model said: a step by P, and the fit begins anew"
     if not count:
@@ -235,7 +237,7 @@ def document_of(
     identified: Identified,
     reference: Reference,
     amplitude_max_rad: float,
-    swims: Sequence[TrialSpeeds],
+    trials: Sequence[TrialSpeeds],
     fallback: Law,
     step_max_rad: float,
 ) -> dict[str, Any]:
@@ -256,7 +258,7 @@ def document_of(
             "amplitude_max_rad": amplitude_max_rad,
             "step_max_rad": step_max_rad,
             "fallback": fallback,
-            "swims": [{"trial": swim.trial, "crc": swim_crc(swim)} for swim in swims],
+            "swims": [{"trial": trial.trial, "crc": swim_crc(trial)} for trial in trials],
             "identified": identified.as_dict(),
         }
     )
@@ -267,8 +269,8 @@ def _of(source: object, *names: str) -> dict[str, Any]:
     return {name: getattr(source, name) for name in names}
 
 
-def repropose(document: dict[str, Any], swims: Sequence[TrialSpeeds]) -> Proposal:
-    """The proposal made anew; ``swims``: of the fish, in any order, those it names among them.
+def repropose(document: dict[str, Any], trials: Sequence[TrialSpeeds]) -> Proposal:
+    """The proposal made anew; ``trials``: of the fish, in any order, those it names among them.
 
     Raises InputError when one is missing or no longer what it was, or the document is damaged.
     """
@@ -282,7 +284,7 @@ def repropose(document: dict[str, Any], swims: Sequence[TrialSpeeds]) -> Proposa
             Identified.from_dict(document["identified"]),
             reference,
             float(document["amplitude_max_rad"]),
-            _named(document["swims"], swims),
+            _named(document["swims"], trials),
             Law(**document["fallback"]),
             float(document["step_max_rad"]),
         )
@@ -292,8 +294,8 @@ def repropose(document: dict[str, Any], swims: Sequence[TrialSpeeds]) -> Proposa
         ) from error
 
 
-def _named(names: Sequence[dict[str, Any]], swims: Sequence[TrialSpeeds]) -> list[TrialSpeeds]:
-    by_crc = {swim_crc(swim): swim for swim in swims}
+def _named(names: Sequence[dict[str, Any]], trials: Sequence[TrialSpeeds]) -> list[TrialSpeeds]:
+    by_crc = {swim_crc(trial): trial for trial in trials}
     missing = [str(name["trial"]) for name in names if name["crc"] not in by_crc]
     if missing:
         raise InputError(
@@ -303,9 +305,9 @@ def _named(names: Sequence[dict[str, Any]], swims: Sequence[TrialSpeeds]) -> lis
     return [by_crc[name["crc"]] for name in names]
 
 
-def swim_crc(swim: TrialSpeeds) -> int:
+def swim_crc(trial: TrialSpeeds) -> int:
     """CRC-32 of all that the model learns from a trial."""
-    crc = zlib.crc32(f"{swim.trial} {swim.reference_crc} {swim.beat_s!r}".encode())
-    for values in (swim.amplitude_rad, swim.speed_m_s, swim.sigma_m_s):
+    crc = zlib.crc32(f"{trial.trial} {trial.reference_crc} {trial.beat_s!r}".encode())
+    for values in (trial.amplitude_rad, trial.speed_m_s, trial.sigma_m_s):
         crc = zlib.crc32(np.nan_to_num(values, nan=-1.0).astype("<f8").tobytes(), crc)
     return crc

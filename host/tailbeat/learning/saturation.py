@@ -70,13 +70,13 @@ class KnownFish:
     basis: str
 
 
-def known_fish(identified: Identified | None, swims: Sequence[TrialSpeeds]) -> KnownFish | None:
+def known_fish(identified: Identified | None, trials: Sequence[TrialSpeeds]) -> KnownFish | None:
     """The identified model, else one fitted to trials of any reference (some 10 ms). None when no
     beat of them has a speed."""
     if identified is not None:
         return KnownFish(identified, "by the identified model")
 
-    used = [swim for swim in swims if swim.measured.any()]
+    used = [trial for trial in trials if trial.measured.any()]
     if not used:
         return None
     count = f"{len(used)} trial{'' if len(used) == 1 else 's'}"

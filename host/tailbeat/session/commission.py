@@ -201,7 +201,7 @@ class _Session:
         return CommissionStep(
             "identify",
             True,
-            f"{len(found.swims)} runs: {model.slope_m_s_rad * 1e3:.0f} mm/s per rad beyond "
+            f"{len(found.trials)} runs: {model.slope_m_s_rad * 1e3:.0f} mm/s per rad beyond "
             f"{model.dead_zone_rad:.2f} rad, drag over mass {model.kappa_per_m:.1f} 1/m, delay "
             f"{model.delay_s:.2f} s",
         )

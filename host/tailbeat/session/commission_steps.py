@@ -212,10 +212,10 @@ def profile(
     steps = np.arange(1, _RAMP_BEATS + 1) / (_RAMP_BEATS + 1)
     ramp = foot + (amplitude_rad - foot) * steps
     for beats in range(_CRUISE_BEATS, _CRUISE_LEAST - 1, -1):
-        swim = np.concatenate([ramp, np.full(beats, amplitude_rad), np.zeros(_COAST_BEATS)])
-        travel = travel_of(swim, params, 1.0, identified)
+        trial = np.concatenate([ramp, np.full(beats, amplitude_rad), np.zeros(_COAST_BEATS)])
+        travel = travel_of(trial, params, 1.0, identified)
         if travel.worst_m <= travel.room_m - _MARGIN_M:
-            return swim
+            return trial
     return None
 
 

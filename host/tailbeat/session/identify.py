@@ -78,7 +78,7 @@ def identify_fish(
     with preserved(fish, safe, attendant.note, "identify") as board:
         swimmer = _IdentificationRunner(board, attendant, source, camera)
         return identify_runs(
-            swimmer.swim,
+            swimmer.trial,
             limits or Limits.from_params(board.params),
             prior_of(board.params),
             on_run=swimmer.begin,
@@ -119,7 +119,7 @@ class _IdentificationRunner:
     def begin(self, run: IdentificationRun) -> None:
         self.run = run
 
-    def swim(self, amplitude: F64) -> TrialSpeeds:
+    def trial(self, amplitude: F64) -> TrialSpeeds:
         run = self.run
         assert run is not None
         self.board.prepare(f"identify {run.number}", amplitude, run.predicted_m_s)

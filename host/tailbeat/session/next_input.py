@@ -167,24 +167,24 @@ def setting_of(fish: Fish) -> ModelStepSetting:
 
 
 def trials_since(
-    identified: Identified, swims: Sequence[TrialSpeeds], unique_id: str
+    identified: Identified, trials: Sequence[TrialSpeeds], unique_id: str
 ) -> list[TrialSpeeds]:
-    """Those of ``swims`` (oldest first) that came after the runs the fish was identified by; all,
+    """Those of ``trials`` (oldest first) that came after the runs the fish was identified by; all,
     when it was identified by another fish's or by a table. Runs are known by what is in them: the
     numbers of a simulated board that starts again, or of one that lost its store, come again."""
     if identified.unique_id != unique_id:
-        return list(swims)
-    own = {swim_crc(swim) for swim in identified.swims}
-    last = max((at for at, swim in enumerate(swims) if swim_crc(swim) in own), default=-1)
-    return list(swims[last + 1 :])
+        return list(trials)
+    own = {swim_crc(trial) for trial in identified.trials}
+    last = max((at for at, trial in enumerate(trials) if swim_crc(trial) in own), default=-1)
+    return list(trials[last + 1 :])
 
 
 def numbering_restarted(every: Sequence[TrialSpeeds], since: Sequence[TrialSpeeds]) -> bool:
     """Whether the board started anew within ``since`` (a part of ``every``): numbers go back, and
     one names two trials. (Trials that were pulled late go back, too.)"""
-    numbers = [swim.trial for swim in since]
+    numbers = [trial.trial for trial in since]
     falls = any(after <= before for before, after in pairwise(numbers))
-    return falls and len({swim.trial for swim in every}) < len(every)
+    return falls and len({trial.trial for trial in every}) < len(every)
 
 
 @dataclass(frozen=True)
@@ -213,14 +213,14 @@ def choose_next_input(proposal: Proposal, restored: bool, best_m_s: float | None
 
 
 def next_step(
-    setting: ModelStepSetting, identified: Identified, swims: Sequence[TrialSpeeds]
+    setting: ModelStepSetting, identified: Identified, trials: Sequence[TrialSpeeds]
 ) -> ModelStep:
     """Proposes; changes nothing."""
     reference, limit_rad = setting.reference, setting.amplitude_max_rad
-    rest = (reference, limit_rad, swims, setting.law, setting.step_max_rad)
+    rest = (reference, limit_rad, trials, setting.law, setting.step_max_rad)
     proposal = propose(identified, *rest)
     document = document_of(proposal, identified, *rest)
-    return ModelStep(proposal, predicted_before(identified, setting.reference, swims), document)
+    return ModelStep(proposal, predicted_before(identified, setting.reference, trials), document)
 
 
 def upload(fish: Fish, setting: ModelStepSetting, proposal: Proposal) -> None:

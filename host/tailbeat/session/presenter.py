@@ -48,8 +48,8 @@ def alert(event: Event) -> str:
         case LinkLost():
             return "the link broke; trying to get it back (without it the board stops by itself)"
         case LinkRestored(state):
-            swims = state == "RUNNING"
-            then = "it swims on" if swims else "the board has stopped the tail meanwhile"
+            trials = state == "RUNNING"
+            then = "it swims on" if trials else "the board has stopped the tail meanwhile"
             return f"the link is back; {then}"
         case InterruptRequested():
             return "Ctrl-C: the tail is being stopped"

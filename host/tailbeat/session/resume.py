@@ -111,7 +111,7 @@ def _swum(
     guard: Guard | None,
 ) -> RecordedTrial:
     """One trial that counts, by the machinery of a series."""
-    one = replace(options, until=Until(swims=1), learn=True, counts=("repeat",), of_best=True)
+    one = replace(options, until=Until(trials=1), learn=True, counts=("repeat",), of_best=True)
     end = run_series(fish, experiment, _Repeating(operator), one, camera, guard)
     if end.why == "swims" and end.rounds:
         return end.rounds[-1].recorded

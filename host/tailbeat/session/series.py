@@ -57,10 +57,10 @@ _SWIMS_MAX = 999
 
 @dataclass(frozen=True)
 class Until:
-    """When a series ends: after ``swims`` trials that were kept, when the verdict says that there
+    """When a series ends: after ``trials`` trials that were kept, when the verdict says that there
     is nothing more to gain (``converged``), always when the battery is too low to swim on."""
 
-    swims: int | None = 1
+    trials: int | None = 1
     converged: bool = False
 
     @classmethod
@@ -110,7 +110,7 @@ class Round:
 
 @dataclass(frozen=True)
 class SeriesEnd:
-    """``why``: ``swims``, ``converged``, ``saturated`` (nothing more to gain at the amplitude
+    """``why``: ``trials``, ``converged``, ``saturated`` (nothing more to gain at the amplitude
     limit), ``battery``, ``interrupted`` (Ctrl-C or the operator), or ``stopped`` (the board stopped
     by a rule of its own and is left so, with its reason)."""
 
@@ -304,7 +304,7 @@ class _Series:
     def _enough(self) -> SeriesEnd | None:
         """Whether the series has reached its end."""
         until, verdict = self.options.until, self.verdict
-        if until.swims is not None and self.counted >= until.swims:
+        if until.trials is not None and self.counted >= until.trials:
             plural = "" if self.counted == 1 else "s"
             return self.end("swims", f"{self.counted} trial{plural}")
         if until.converged and verdict is not None and verdict.stop:

@@ -32,7 +32,7 @@ class SessionStatus:
     state: str
     pending_trial: int | None
     iteration: int
-    swims: int
+    trials: int
     best_trial: int
     best_max_abs_error_m_s: float
     battery_v: float
@@ -62,7 +62,7 @@ def status_of(fish: Fish, experiment: Experiment) -> SessionStatus:
         state=status.state,
         pending_trial=status.pending_trial,
         iteration=status.iteration,
-        swims=len(experiment.journal.entries("swum")),
+        trials=len(experiment.journal.entries("swum")),
         best_trial=verdict.best_trial if verdict else 0,
         best_max_abs_error_m_s=verdict.best_max_abs_error_m_s if verdict else math.nan,
         battery_v=status.battery_v,
@@ -113,7 +113,7 @@ def words(found: SessionStatus) -> list[str]:
     lines = [
         f"experiment  {found.experiment}",
         f"fish        {found.unique_id}{simulated}, {found.state}{pending}",
-        f"learning    {found.swims} trial{'' if found.swims == 1 else 's'}, {_next(found)}",
+        f"learning    {found.trials} trial{'' if found.trials == 1 else 's'}, {_next(found)}",
         f"battery     {_battery(found)}",
     ]
     if found.verdict is not None:

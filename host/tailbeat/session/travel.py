@@ -78,14 +78,14 @@ def travel_model_of(
     before = TravelModel(*known, by)
     if last is None:
         return before
-    swim = trial_speeds(last)
-    swum_m = float(np.nansum(swim.speed_m_s)) * swim.beat_s
-    if 2 * np.count_nonzero(swim.measured) < last.executed_beats or swum_m < _TELLING_M:
+    trial = trial_speeds(last)
+    swum_m = float(np.nansum(trial.speed_m_s)) * trial.beat_s
+    if 2 * np.count_nonzero(trial.measured) < last.executed_beats or swum_m < _TELLING_M:
         return before
-    found = fit([swim], prior, before.scatter)
+    found = fit([trial], prior, before.scatter)
     # That trial's own gain, flow and start will not come again; what the fit leaves over will.
-    speed = found.model.beats(swim.amplitude_rad, swim.beat_s, found.conditions[0])
-    expected_m = float(np.sum(speed[swim.measured])) * swim.beat_s
+    speed = found.model.beats(trial.amplitude_rad, trial.beat_s, found.conditions[0])
+    expected_m = float(np.sum(speed[trial.measured])) * trial.beat_s
     more = swum_m / expected_m if expected_m > 0 else math.inf
     by = f"{by} and trial {last.number}"
     if not 1 / _MISS <= more <= _MISS:

@@ -84,12 +84,12 @@ def test_the_board_measures_what_is_true(ready: Fish) -> None:
 
 
 def test_same_seed_same_trial(reference: bytes) -> None:
-    def swim() -> list[BeatEvent]:
+    def trial() -> list[BeatEvent]:
         with Fish.connect("sim:tank", seed=5) as fish:
             fish.upload_reference(reference)
             return run_trial(fish).beats
 
-    assert swim() == swim()
+    assert trial() == trial()
 
 
 def test_learn_and_discard_need_a_pending_trial(ready: Fish) -> None:

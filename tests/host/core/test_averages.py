@@ -38,7 +38,7 @@ def prepare(fish: Fish, kind: int, **params: float) -> None:
     fish.upload_reference(reference.cosine(0.06, 4.0, 6.0).record())
 
 
-def swim(fish: Fish, cut: bool = False) -> None:
+def trial(fish: Fish, cut: bool = False) -> None:
     frames = iter(range(100000))
     run_trial(fish, guard=lambda _: ENOUGH if cut and next(frames) > 200 else None)
     if cut:
@@ -47,7 +47,7 @@ def swim(fish: Fish, cut: bool = False) -> None:
 
 def learn_as_foretold(fish: Fish, cut: bool = False) -> Floats:
     """The dry run must say the same, bit for bit; the next amplitudes."""
-    swim(fish, cut)
+    trial(fish, cut)
     foretold = dry_run(fish)
     learned = fish.learn()
     held = fish.amplitudes().values
@@ -114,7 +114,7 @@ def test_an_average_looks_at_more_than_the_last_trial(fish: Fish) -> None:
     """Else the foretelling would prove nothing: the law of the last trial gives something else."""
     prepare(fish, WINDOW)
     learn_as_foretold(fish)
-    swim(fish)
+    trial(fish)
     averaged = dry_run(fish).amplitude_rad
     fish.params.set("ILC_KIND", 0)
     assert not np.allclose(averaged, dry_run(fish).amplitude_rad, atol=1e-4)
@@ -203,7 +203,7 @@ def test_params_set_prints_why(
 
 def test_a_damaged_past_trial_is_none(fish: Fish) -> None:
     prepare(fish, WINDOW)
-    swim(fish)
+    trial(fish)
     fish.learn()
     record = fish.past_record(records.past_path(1))
     assert record is not None

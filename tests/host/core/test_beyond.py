@@ -54,12 +54,12 @@ class School:
     def visits(self) -> Counts:
         return np.array([list(memory.visits[0:BEATS]) for memory in self._each()])
 
-    def swim(self) -> tuple[Array, Array]:
+    def execute(self) -> tuple[Array, Array]:
         """The next trial as if none were cut: speeds as measured and as they are."""
         self.trial += 1
         rows = np.array([list(memory.amplitude_rad[0:BEATS]) for memory in self._each()])
-        swims = self.batch.run(np.clip(rows, 0, math.pi / 4), self.trial)
-        return swims.speed_m_s, swims.true_m_s
+        trials = self.batch.run(np.clip(rows, 0, math.pi / 4), self.trial)
+        return trials.speed_m_s, trials.true_m_s
 
     def learn(self, speed_m_s: Array, executed: Counts) -> None:
         report = ffi.new("memory_report_t *")
@@ -99,7 +99,7 @@ def cut_at_random(
         executed = np.minimum(random.integers(spread[0], spread[1] + 1, fish), BEATS)
         if trial == trials:
             executed[:] = BEATS
-        speed, true = school.swim()
+        speed, true = school.execute()
         never = school.visits() == 0
         now = (executed == BEATS) & np.isnan(way) & (trial > 1)
         error = np.where(never, np.abs(WANTED - true), -1).max(axis=1)
@@ -125,7 +125,7 @@ def cut_by_errors(plant: str, gain: float, beyond: int, fish: int, limit_m_s: fl
     trials = np.zeros(fish, dtype=np.int64)
     way, fast = np.zeros(fish), np.zeros(fish)
     while (trials == 0).any() and school.trial < 60:
-        speed, true = school.swim()
+        speed, true = school.execute()
         guilty = np.abs(WANTED - speed) > limit_m_s
         known = np.where(guilty.any(axis=1), guilty.argmax(axis=1) + 1 + LATE_BEATS, BEATS + 1)
         executed = np.minimum(known, BEATS)

@@ -47,7 +47,7 @@ class Swim:
         return self.beat_s * np.arange(self.beats + 1)
 
 
-swims = st.builds(
+trials = st.builds(
     Swim,
     st.one_of(st.integers(1, 40), st.integers(1, 512)),
     st.one_of(st.integers(10, 60), st.integers(10, 200)),
@@ -64,7 +64,7 @@ def means(times_s: Floats, speeds_m_s: Floats, edges_s: Floats) -> Floats:
 
 
 def estimated(
-    swim: Swim,
+    trial: Swim,
     source: int,
     slots: list[dict[str, Any]],
     before: Any,
@@ -73,7 +73,7 @@ def estimated(
 ) -> tuple[list[Any], Floats, Floats]:
     """Provisional beats, final speeds, sigmas: as the board goes through a trial."""
     config = ffi.new("estimate_config_t *", {
-        "source": ffi.cast("speed_source_t", source), "beat_s": swim.beat_s, "beats": swim.beats,
+        "source": ffi.cast("speed_source_t", source), "beat_s": trial.beat_s, "beats": trial.beats,
         "vision": {"window_s": 0.0, "gap_max_s": 0.5, "plausible_m_s": 0.5},
         "rest_sigma_m_s": 0.003, "rest_min_s": 5.0, "sigma_max_m_s": sigma_max_m_s,
         "model_sigma": 0.25,
@@ -87,19 +87,19 @@ def estimated(
         assert lib.speed_restore_slot(ring, ffi.new("speed_slot_t *", slot))
         closed_s = np.float32(ring.next_close) * np.float32(SLOT_S)
         while (
-            estimate.next < swim.beats + lib.NATIVE_SMOOTHER_AFTER
+            estimate.next < trial.beats + lib.NATIVE_SMOOTHER_AFTER
             and lib.estimate_needs_s(estimate) <= closed_s
         ):
             early.append(lib.estimate_beat(estimate, ring, 0.0))
-    assert len(early) == swim.beats + lib.NATIVE_SMOOTHER_AFTER
-    lib.estimate_after(estimate, swim.beats, ffi.new("estimate_rest_t *", after))
+    assert len(early) == trial.beats + lib.NATIVE_SMOOTHER_AFTER
+    lib.estimate_after(estimate, trial.beats, ffi.new("estimate_rest_t *", after))
     while not lib.estimate_finish(estimate):
         pass
-    final = [np.array(ffi.unpack(values, swim.beats)) for values in (speed, sigma)]
-    return early[: swim.beats], final[0], final[1]
+    final = [np.array(ffi.unpack(values, trial.beats)) for values in (speed, sigma)]
+    return early[: trial.beats], final[0], final[1]
 
 
-def camera_slots(swim: Swim, at_ms: npt.NDArray[np.int64], speeds: Floats) -> list[dict[str, Any]]:
+def camera_slots(trial: Swim, at_ms: npt.NDArray[np.int64], speeds: Floats) -> list[dict[str, Any]]:
     """One sample of 1 mm/s a slot, no IMU."""
     return [
         {"index": i, "samples": 1, "at_ms": int(ms), "speed_m_s": float(v), "sigma_10um_s": 100,
@@ -109,44 +109,44 @@ def camera_slots(swim: Swim, at_ms: npt.NDArray[np.int64], speeds: Floats) -> li
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)
-@given(swims)
-def test_a_camera_alone_gives_the_mean_of_its_line_over_each_beat(swim: Swim) -> None:
-    random = np.random.default_rng(swim.seed + 1)
-    at_ms = random.integers(0, 100, swim.slots)
-    times_s = SLOT_S * np.arange(swim.slots) + 1e-3 * at_ms
-    speeds = swim.wave(times_s)
-    slots = camera_slots(swim, at_ms, speeds)
-    early, speed, sigma = estimated(swim, VISION, slots, {}, {})
-    wanted = means(times_s, speeds, swim.edges_s())
+@given(trials)
+def test_a_camera_alone_gives_the_mean_of_its_line_over_each_beat(trial: Swim) -> None:
+    random = np.random.default_rng(trial.seed + 1)
+    at_ms = random.integers(0, 100, trial.slots)
+    times_s = SLOT_S * np.arange(trial.slots) + 1e-3 * at_ms
+    speeds = trial.wave(times_s)
+    slots = camera_slots(trial, at_ms, speeds)
+    early, speed, sigma = estimated(trial, VISION, slots, {}, {})
+    wanted = means(times_s, speeds, trial.edges_s())
     assert all(beat.measured for beat in early)
     np.testing.assert_allclose(speed, wanted, rtol=0, atol=1e-4)
     samples = np.array([beat.samples for beat in early])
     # 1 mm/s a sample: those of the slots that the beat touches, and one on either side.
-    whole = swim.beat_s / SLOT_S
+    whole = trial.beat_s / SLOT_S
     assert np.all((samples >= whole - 1) & (samples <= whole + 4))
     np.testing.assert_allclose(sigma, 1e-3 / np.sqrt(samples), rtol=0.05)
 
 
 def test_a_camera_that_freezes_at_the_end_leaves_the_last_of_512_beats_unmeasured() -> None:
-    swim = Swim(512, 10, 1)
-    speeds = swim.wave(SLOT_S * np.arange(swim.slots))
+    trial = Swim(512, 10, 1)
+    speeds = trial.wave(SLOT_S * np.arange(trial.slots))
     speeds[1010:] = speeds[1010]
-    slots = camera_slots(swim, np.full(swim.slots, 50), speeds)
-    _, speed, _ = estimated(swim, VISION, slots, {}, {}, sigma_max_m_s=0.005)
+    slots = camera_slots(trial, np.full(trial.slots, 50), speeds)
+    _, speed, _ = estimated(trial, VISION, slots, {}, {}, sigma_max_m_s=0.005)
     assert np.isfinite(speed[:500]).all()
     assert np.isnan(speed[510:]).all()
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)
-@given(swims)
-def test_an_exact_imu_between_two_rests_gives_each_beats_mean(swim: Swim) -> None:
-    swum_s = swim.beats * swim.beat_s
+@given(trials)
+def test_an_exact_imu_between_two_rests_gives_each_beats_mean(trial: Swim) -> None:
+    swum_s = trial.beats * trial.beat_s
     last = int(swum_s / SLOT_S)  # the slot in which the trial ends: from its begin on all is still
-    speeds = np.zeros(swim.slots + 1)
+    speeds = np.zeros(trial.slots + 1)
     rise = np.clip(np.arange(last + 1) / 10, 0, 1) * np.clip(
         (last - np.arange(last + 1)) / 10, 0, 1
     )
-    speeds[: last + 1] = rise * swim.wave(SLOT_S * np.arange(last + 1))
+    speeds[: last + 1] = rise * trial.wave(SLOT_S * np.arange(last + 1))
     gains = 2 * np.round(np.diff(speeds) / 2e-5).astype(int)  # even: half of it is whole, too
     gains[last - 1 if last > 0 else 0] -= gains[:last].sum()
     points = 1e-5 * np.concatenate([[0], np.cumsum(gains)])
@@ -154,9 +154,9 @@ def test_an_exact_imu_between_two_rests_gives_each_beats_mean(swim: Swim) -> Non
     slots = [
         {"index": i, "gain_10um_s": int(g), "way_um": int(g) // 2} for i, g in enumerate(gains)
     ]
-    still_s = lib.NATIVE_SMOOTHER_AFTER * swim.beat_s + 1.0
+    still_s = lib.NATIVE_SMOOTHER_AFTER * trial.beat_s + 1.0
     after = {"begin_s": SLOT_S * last, "still_s": still_s}
     before = {"begin_s": -8.0, "still_s": 8.0}
-    _, speed, _ = estimated(swim, IMU, slots, before, after)
-    wanted = means(SLOT_S * np.arange(swim.slots + 1), points, swim.edges_s())
+    _, speed, _ = estimated(trial, IMU, slots, before, after)
+    wanted = means(SLOT_S * np.arange(trial.slots + 1), points, trial.edges_s())
     np.testing.assert_allclose(speed, wanted, rtol=0, atol=1e-4)

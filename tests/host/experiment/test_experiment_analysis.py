@@ -80,8 +80,8 @@ def test_the_battery_is_that_from_before_the_tail_loaded_it(copy: Experiment) ->
     """A log begins later; of a trial that no ritual preceded it is all there is."""
     path = copy.folder / "journal.jsonl"
     entries = [json.loads(line) for line in path.read_text().splitlines()]
-    swims = [entry for entry in entries if entry["what"] == "swum"]
-    swims[0]["battery_start_v"], swims[1]["battery_start_v"] = 8.31, None
+    trials = [entry for entry in entries if entry["what"] == "swum"]
+    trials[0]["battery_start_v"], trials[1]["battery_start_v"] = 8.31, None
     path.write_text("".join(json.dumps(entry) + "\n" for entry in entries))
     rows = analyse(copy).rows
     assert rows[0].battery_start_v == 8.31
@@ -148,9 +148,11 @@ def test_a_swim_that_the_journal_does_not_know_is_undecided(copy: Experiment) ->
     assert (last.trial, last.decision, last.undecided, last.counts) == (6, "", True, False)
 
 
-def made_rows(*swims: Trial, decision: str = "keep", learned: bool | None = True) -> list[TrialRow]:
+def made_rows(
+    *trials: Trial, decision: str = "keep", learned: bool | None = True
+) -> list[TrialRow]:
     """Made of trials that were never in the water."""
-    kept = [(Path(f"{at:04d}.ulg"), swim) for at, swim in enumerate(swims)]
+    kept = [(Path(f"{at:04d}.ulg"), trial) for at, trial in enumerate(trials)]
     said = Told(decision=decision, learned=learned, recorded=True)
     return rows_of(kept, {path.name: said for path, _ in kept}, True)
 
@@ -158,8 +160,8 @@ def made_rows(*swims: Trial, decision: str = "keep", learned: bool | None = True
 def swum_by(
     number: int, iteration: int, error_m_s: float, by: str = "law", rad: float = 0
 ) -> Trial:
-    swim = made.trial(number, iteration, error_m_s, wanted_rad=rad or 0.1 + 0.01 * iteration)
-    return replace(swim, input=by)
+    trial = made.trial(number, iteration, error_m_s, wanted_rad=rad or 0.1 + 0.01 * iteration)
+    return replace(trial, input=by)
 
 
 def contractions(rows: list[TrialRow]) -> list[float | None]:

@@ -40,7 +40,7 @@ def library(tmp_path: Path) -> TrialLibrary:
 
 def test_nothing_is_made_before_something_is_kept(library: TrialLibrary) -> None:
     assert library.load() == ([], [])
-    assert library.swims() == []
+    assert library.speeds() == []
     assert library.proposals() == []
     assert library.identified() is None
     assert not library.folder.exists()
@@ -54,7 +54,7 @@ def test_trials_come_back_in_the_order_they_came(library: TrialLibrary, raw: Pat
     assert [trial.number for trial in library.trials()] == [2, 1, 3]
     again = read_trial(raw / "0002.ulg")
     np.testing.assert_array_equal(library.trials()[0].beats.speed_m_s, again.beats.speed_m_s)
-    assert [swim.trial for swim in library.swims()] == [2, 1, 3]
+    assert [swim.trial for swim in library.speeds()] == [2, 1, 3]
 
 
 def test_the_same_content_is_kept_once(library: TrialLibrary, raw: Path, tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_marks_are_the_contents_and_stay(library: TrialLibrary, raw: Path) -> No
     second = library.keep(raw / "0002.ulg", DISCARDED)
     assert [kept.mark for kept in library.kept()[0]] == [RUN, DISCARDED]
     assert library.keep(raw / "0002.ulg") == second
-    assert [swim.trial for swim in library.swims()] == [1]
+    assert [swim.trial for swim in library.speeds()] == [1]
     assert [trial.number for trial in library.trials()] == [1, 2]
 
 
@@ -94,7 +94,7 @@ def test_the_latest_is_the_last_kept_or_not(library: TrialLibrary, raw: Path) ->
         library.keep(raw / f"000{number}.ulg")
     again = library.kept(raw / "0001.ulg")[0]
     assert [kept.trial.number for kept in again] == [2, 1]
-    assert [swim.trial for swim in library.swims(raw / "0003.ulg")] == [1, 2, 3]
+    assert [swim.trial for swim in library.speeds(raw / "0003.ulg")] == [1, 2, 3]
     assert len(library.trials()) == 2
 
 

@@ -63,11 +63,11 @@ def test_one_swims_own_gain_and_flow_are_mostly_left_to_it(own: Conditions) -> N
 )
 def test_another_fish_is_found_out_by_one_swim(other: FishModel) -> None:
     """Also one that differs in a single number; in the first beats a delay looks like a start."""
-    swim = recorded(other, Conditions(0.0016))
-    off, still_off = (expected(s) - swim.speed_m_s for s in ([], [swim]))
+    trial = recorded(other, Conditions(0.0016))
+    off, still_off = (expected(s) - trial.speed_m_s for s in ([], [trial]))
     assert np.abs(off[2:]).max() > 0.0025
     assert np.abs(still_off[2:]).max() < 0.0008
-    assert believe(SURE, [swim]).model.kappa_per_m == pytest.approx(other.kappa_per_m, rel=0.12)
+    assert believe(SURE, [trial]).model.kappa_per_m == pytest.approx(other.kappa_per_m, rel=0.12)
 
 
 def test_what_is_only_noise_is_no_disturbance() -> None:

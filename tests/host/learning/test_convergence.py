@@ -41,7 +41,7 @@ def fish(kappa: float) -> FishModel:
     return FishModel(kappa, 0.219, 0.197, 0.3)
 
 
-def swim(model: FishModel, amplitude: Array, random: np.random.Generator) -> Array:
+def trial(model: FishModel, amplitude: Array, random: np.random.Generator) -> Array:
     """Errors of a trial that scatters as the tank plant does."""
     start, flow, gain = random.normal(size=3) * (0.002, 0.0015, 0.02)
     given = Conditions(abs(start), flow, 1 + gain)
@@ -57,7 +57,7 @@ def p_law(kappa: float, gain: float, trials: int, seed: int) -> tuple[Array, Arr
     seen, true = np.empty(trials), np.empty(trials)
     for k in range(trials):
         applied = np.clip(amplitude, 0, LIMIT_RAD)
-        error = swim(model, applied, random)
+        error = trial(model, applied, random)
         seen[k] = np.abs(error).max()
         true[k] = np.abs(WANTED - model.beats(applied, 1.0)).max()
         amplitude = applied + gain * error[ahead]
@@ -232,7 +232,7 @@ def test_repeats_of_one_input_are_taken_for_noise(kappa: float) -> None:
     random = np.random.default_rng(11)
     kinds: list[str] = []
     for _ in range(runs):
-        worst = [np.abs(swim(model, amplitude, random)).max() for _ in range(10)]
+        worst = [np.abs(trial(model, amplitude, random)).max() for _ in range(10)]
         kinds += [v.kind for v in assess_all(scored(*np.array(worst) * 1e3))[1:]]
     assert kinds.count("worse") / len(kinds) <= 0.06
     assert kinds.count("progress") / len(kinds) <= 0.06

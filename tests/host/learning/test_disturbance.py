@@ -31,7 +31,7 @@ class Tank:
         self.fish, self.folder = Fish.connect("sim:", seed=seed), folder
         self.fish.upload_reference(reference)
 
-    def swims(self, push_m_s: float = 0.0, at: int = 0, dark_s: float = 0.0) -> Trial:
+    def execute(self, push_m_s: float = 0.0, at: int = 0, dark_s: float = 0.0) -> Trial:
         board = self.fish.sim
         assert board is not None
         heard_s: list[float] = []
@@ -63,10 +63,10 @@ def problems(trial: Trial) -> tuple[str, ...]:
 def test_a_push_is_told_and_learning_is_not(tank: Tank) -> None:
     tank.fish.params.set("ILC_LEAD", 0)  # with 1, the push back in beat 2 is taken for one ahead
     for at in (2, 7, 11):
-        clean = tank.swims()
+        clean = tank.execute()
         assert disturbance_of(trial_speeds(clean)) is None and problems(clean) == ()
         tank.fish.learn()
-        pushed = tank.swims(PUSH_M_S if at == 7 else -PUSH_M_S, at)
+        pushed = tank.execute(PUSH_M_S if at == 7 else -PUSH_M_S, at)
         tank.fish.discard()
         found = disturbance_of(trial_speeds(pushed))
         assert found is not None and (found.by_m_s > 0) == (at == 7)
@@ -77,11 +77,11 @@ def test_a_push_is_told_and_learning_is_not(tank: Tank) -> None:
 
 def test_what_is_said() -> None:
     speed = np.r_[np.full(10, 0.05), 0.09, 0.07, np.full(8, 0.05)]
-    swim = TrialSpeeds(np.full(20, 0.4253), speed, np.full(20, 0.0005))
-    found = disturbance_of(swim)
+    trial = TrialSpeeds(np.full(20, 0.4253), speed, np.full(20, 0.0005))
+    found = disturbance_of(trial)
     assert found is not None
     assert found.words() == "beats 10-11 jump by +40 mm/s: a bump or a wave?"
-    noisy = TrialSpeeds(swim.amplitude_rad, speed, np.full(20, 0.007))
+    noisy = TrialSpeeds(trial.amplitude_rad, speed, np.full(20, 0.007))
     assert disturbance_of(noisy) is None, "the camera is no better than that"
 
 
@@ -93,7 +93,7 @@ def test_too_little_to_tell() -> None:
 
 
 def test_a_camera_that_was_away_is_the_reason_of_missing_speeds(tank: Tank) -> None:
-    trial = tank.swims(at=4, dark_s=3.0)
+    trial = tank.execute(at=4, dark_s=3.0)
     (told,) = problems(trial)
     missing = np.count_nonzero(~np.isfinite(trial.beats.speed_m_s))
     assert told.startswith(f"{missing} of {BEATS} beats have no speed: none came from the camera")
@@ -109,9 +109,9 @@ def test_many_fish(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     tank = Tank(tmp_path, seed, thesis())
     for _ in range(10):
-        assert disturbance_of(trial_speeds(tank.swims())) is None
+        assert disturbance_of(trial_speeds(tank.execute())) is None
         tank.fish.learn()
         at, by = int(rng.integers(0, 36)), float(rng.choice([-PUSH_M_S, PUSH_M_S]))
-        assert disturbance_of(trial_speeds(tank.swims(by, at))) is not None, (at, by)
+        assert disturbance_of(trial_speeds(tank.execute(by, at))) is not None, (at, by)
         tank.fish.discard()
     tank.fish.close()

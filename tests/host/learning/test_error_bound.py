@@ -225,14 +225,14 @@ def test_the_floor_before_the_first_trial(
     """Three cruises and a coast-down, fitted from a wrong belief."""
     config = plant_config("tank", {"kappa_per_m": kappa, **fish})
     generator = np.random.default_rng(11)
-    swims = []
+    trials = []
     for u in RUNS:
         speed = plant_beats(config, u, 1.0) * (1 + 0.02 * generator.normal())
         speed += 0.0015 * generator.normal() + 0.0007 * generator.normal(size=len(u))
-        swims.append(TrialSpeeds(u, speed, np.full(len(u), 0.0007)))
+        trials.append(TrialSpeeds(u, speed, np.full(len(u), 0.0007)))
     drag, later, gain, dead = corner
     belief = FishModel(kappa * drag, 0.219 * gain, 0.197 * dead, 0.3 + later)
-    model = fit(swims, Prior(model=belief)).model
+    model = fit(trials, Prior(model=belief)).model
     predicted = lsq_max_abs_m_s(model, reference.thesis(), AMPLITUDE_MAX_RAD)
     true = lsq_max_abs_m_s(config, reference.thesis(), AMPLITUDE_MAX_RAD)
     assert predicted == pytest.approx(true, rel=allowed)

@@ -16,23 +16,23 @@ GENTLE = [np.r_[np.linspace(0.2, top, 8), np.full(6, top), np.linspace(top, 0.1,
           for top in (0.45, 0.6, 0.75)]  # fmt: skip
 
 
-def swim(amplitude: np.ndarray, speed: np.ndarray, rng: np.random.Generator | None) -> TrialSpeeds:
+def trial(amplitude: np.ndarray, speed: np.ndarray, rng: np.random.Generator | None) -> TrialSpeeds:
     noise = 0.0 if rng is None else rng.normal(0, SIGMA_M_S, len(speed))
     return TrialSpeeds(amplitude, speed + noise, np.full(len(speed), SIGMA_M_S))
 
 
 def of_the_model(rng: np.random.Generator | None) -> list[TrialSpeeds]:
-    return [swim(u, TRUE.beats(u, 1.0), rng) for u in GENTLE]
+    return [trial(u, TRUE.beats(u, 1.0), rng) for u in GENTLE]
 
 
 def of_the_tank(kappa: float, rng: np.random.Generator) -> list[TrialSpeeds]:
-    swims = []
+    trials = []
     for amplitude in GENTLE:
         config = plant_config("tank", {"kappa_per_m": kappa})
         config.slope_m_s_rad *= 1 + 0.02 * rng.normal()
         speed = plant_beats(config, amplitude, 1.0) + 0.0015 * rng.normal()
-        swims.append(swim(amplitude, speed, rng))
-    return swims
+        trials.append(trial(amplitude, speed, rng))
+    return trials
 
 
 def numbers(model: FishModel) -> list[float]:
@@ -65,18 +65,18 @@ def test_error_bars_hold_on_the_tank(kappa: float) -> None:
 def test_priors_pull_and_data_win() -> None:
     far = Prior(FishModel(20.0, 0.3, 0.1, 0.8))
     certain = Prior(far.model, kappa=1e-4, slope=1e-4, dead_zone_rad=1e-5, delay_s=1e-4)
-    swims = of_the_model(np.random.default_rng(3))
-    assert numbers(fit(swims, certain).model) == pytest.approx(numbers(far.model), rel=1e-2)
-    assert fit(swims, far).model.kappa_per_m == pytest.approx(TRUE.kappa_per_m, rel=0.1)
+    trials = of_the_model(np.random.default_rng(3))
+    assert numbers(fit(trials, certain).model) == pytest.approx(numbers(far.model), rel=1e-2)
+    assert fit(trials, far).model.kappa_per_m == pytest.approx(TRUE.kappa_per_m, rel=0.1)
 
 
 def test_beats_without_a_speed_do_not_count() -> None:
-    swims = of_the_model(np.random.default_rng(4))
-    speed = swims[0].speed_m_s.copy()
+    trials = of_the_model(np.random.default_rng(4))
+    speed = trials[0].speed_m_s.copy()
     speed[5:9] = np.nan
-    holed = TrialSpeeds(swims[0].amplitude_rad, speed, swims[0].sigma_m_s)
-    found = fit([holed, *swims[1:]])
-    assert found.beats == sum(s.beats for s in swims) - 4
+    holed = TrialSpeeds(trials[0].amplitude_rad, speed, trials[0].sigma_m_s)
+    found = fit([holed, *trials[1:]])
+    assert found.beats == sum(s.beats for s in trials) - 4
     assert np.isnan(found.residual_m_s[0][5:9]).all()
     assert found.model.kappa_per_m == pytest.approx(TRUE.kappa_per_m, rel=0.1)
     with pytest.raises(InputError, match="no beat"):
@@ -85,14 +85,14 @@ def test_beats_without_a_speed_do_not_count() -> None:
 
 def test_bootstrap_and_posterior_agree() -> None:
     """Two ways to the same spread, and both come out the same again."""
-    swims = of_the_tank(10.0, np.random.default_rng(5))
-    found = fit(swims)
-    drawn, posterior = bootstrap(swims, found, 30, seed=2), sample(found, 400, seed=2)
+    trials = of_the_tank(10.0, np.random.default_rng(5))
+    found = fit(trials)
+    drawn, posterior = bootstrap(trials, found, 30, seed=2), sample(found, 400, seed=2)
     for name in ("kappa_per_m", "slope_m_s_rad", "dead_zone_rad"):
         spread = np.std([getattr(m, name) for m in drawn])
         expected = np.std([getattr(m, name) for m in posterior])
         assert 0.3 < spread / expected < 1.7, name
-    assert bootstrap(swims, found, 2, seed=2) == drawn[:2]
+    assert bootstrap(trials, found, 2, seed=2) == drawn[:2]
     logs = np.log([m.kappa_per_m for m in posterior])
     assert logs.mean() == pytest.approx(np.log(found.model.kappa_per_m), abs=1e-9)
     assert logs.std() == pytest.approx(np.sqrt(found.covariance[0, 0]), rel=1e-6)

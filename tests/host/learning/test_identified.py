@@ -18,11 +18,11 @@ MODEL = FishModel(10.0, 0.2126, 0.2047, 0.316)
 
 def identified() -> Identified:
     models = [FishModel(k, 0.2126, 0.2047, 0.316) for k in np.linspace(8, 12, 41)]
-    swim = TrialSpeeds(
+    trial = TrialSpeeds(
         np.array([0.3, 0.5]), np.array([0.01, np.nan]), np.array([1e-3, 1e-3]), trial=7
     )
     fit = Fit(MODEL, np.diag([1e-2, 1e-3, 1e-4, 1e-3]), [], [], 0.001, 1)
-    return Identified.of(fit, models, [swim], unique_id="ab12", scatter=Scatter(gain=0.03))
+    return Identified.of(fit, models, [trial], unique_id="ab12", scatter=Scatter(gain=0.03))
 
 
 def test_what_is_saved_comes_back(tmp_path: Path) -> None:
@@ -32,7 +32,7 @@ def test_what_is_saved_comes_back(tmp_path: Path) -> None:
     again = Identified.load(path)
     assert again.as_dict() == was.as_dict()
     assert again.model == MODEL and again.models == was.models
-    assert np.isnan(again.swims[0].speed_m_s[1]) and again.swims[0].trial == 7
+    assert np.isnan(again.trials[0].speed_m_s[1]) and again.trials[0].trial == 7
     assert again.band["kappa_per_m"] == pytest.approx((8.1, 11.9))
     assert [p.name for p in path.parent.iterdir()] == ["identified.json"]
 

@@ -274,7 +274,7 @@ def test_the_board_has_everything_back(learned: Fish, tmp_path: Path) -> None:
     account = account_of(found)
     assert account.rms_m_s < 0.0015
     assert account.battery_v == pytest.approx((8.2, 8.2), abs=0.3)
-    assert all(swim.way_m < 2.64 for swim in account.swims)
+    assert all(trial.way_m < 2.64 for trial in account.trials)
 
 
 def failing(calls: int, error: BaseException) -> Callable[..., Any]:
@@ -340,8 +340,8 @@ def test_the_wall_guard_is_asked(learned: Fish) -> None:
         learned, IdentificationHooks(before=runs.append, guard=guard), quick=True
     )
     assert any(isinstance(one, Frame) for one in seen)
-    assert len(runs) == 4 and len(identified.swims) == 4
-    first = identified.swims[0]
+    assert len(runs) == 4 and len(identified.trials) == 4
+    first = identified.trials[0]
     assert first.swum_beats is not None and first.swum_beats < runs[0].beats
 
 

@@ -56,14 +56,14 @@ class Tank:
 
     def __init__(self, seed: int, **settings: float) -> None:
         self.batch = FishBatch("tank", [{"seed": float(seed), **settings}])
-        self.swims: list[TrialSpeeds] = []
+        self.trials: list[TrialSpeeds] = []
         self.flow_m_s = 0.0
 
-    def swim(self, amplitude: Array, reference: Reference) -> float:
+    def trial(self, amplitude: Array, reference: Reference) -> float:
         """True max|e|, m/s."""
-        number = len(self.swims) + 1
+        number = len(self.trials) + 1
         recorded = self.batch.run(amplitude[None, :], number, reference.beat_s)
-        self.swims.append(
+        self.trials.append(
             TrialSpeeds(
                 amplitude_rad=amplitude,
                 speed_m_s=recorded.speed_m_s[0] + self.flow_m_s,
@@ -78,8 +78,8 @@ class Tank:
 
     def learn(self, identified: Identified, reference: Reference, count: int) -> list[float]:
         return [
-            self.swim(
-                propose(identified, reference, AMPLITUDE_MAX_RAD, self.swims).amplitude_rad,
+            self.trial(
+                propose(identified, reference, AMPLITUDE_MAX_RAD, self.trials).amplitude_rad,
                 reference,
             )
             for _ in range(count)
@@ -135,7 +135,7 @@ def test_another_reference_begins_where_the_first_one_ended(other: Reference) ->
         tank = Tank(seed)
         tank.learn(wrong, thesis(), 2)
         carried += tank.learn(wrong, other, 1)
-        cold.append(Tank(seed).swim(_first_of_p(other), other))
+        cold.append(Tank(seed).trial(_first_of_p(other), other))
     assert np.median(carried) <= 0.25 * np.median(cold)
 
 
@@ -149,26 +149,26 @@ def test_flow_that_repeats_is_learned_also_for_another_reference() -> None:
     tank.flow_m_s = 0.006
     slow = cosine(0.05, 8, 10)
     tank.learn(identified, slow, 2)
-    assert believe(identified, tank.swims).typical.flow_m_s > 0.002
+    assert believe(identified, tank.trials).typical.flow_m_s > 0.002
     tank.flow_m_s = 0.0
     still = Tank(1)
     still.learn(identified, slow, 2)
-    assert abs(believe(identified, still.swims).typical.flow_m_s) < 0.001
+    assert abs(believe(identified, still.trials).typical.flow_m_s) < 0.001
 
 
 def test_fish_that_changes_gets_one_step_of_p_and_then_a_model_again() -> None:
     identified, tank, changed = known(TRUE), Tank(1), Tank(1, slope_m_s_rad=0.219 * 0.6)
     tank.learn(identified, thesis(), 2)
-    swims, said = list(tank.swims), []
+    trials, said = list(tank.trials), []
     error = math.nan
     for _ in range(4):
-        proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, swims)
+        proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, trials)
         said.append(proposal.law)
-        error = changed.swim(proposal.amplitude_rad, thesis())
-        swims.append(changed.swims[-1])
+        error = changed.trial(proposal.amplitude_rad, thesis())
+        trials.append(changed.trials[-1])
     assert said == ["model", "p", "model", "model"]
     assert error <= 1.25 * LSQ_M_S[10]
-    last = propose(identified, thesis(), AMPLITUDE_MAX_RAD, swims)
+    last = propose(identified, thesis(), AMPLITUDE_MAX_RAD, trials)
     assert last.model.slope_m_s_rad == pytest.approx(0.219 * 0.6, rel=0.08)
     assert last.trials == (1, 2, 3, 4) and "slope 0.1" in last.reason
 
@@ -189,12 +189,12 @@ def test_step_of_p_is_the_laws() -> None:
 
 def test_fish_of_no_sense_is_left_to_p() -> None:
     identified, said = known(TRUE), []
-    swims: list[TrialSpeeds] = []
+    trials: list[TrialSpeeds] = []
     for number in range(1, 5):
-        proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, swims)
+        proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, trials)
         said.append(proposal.law)
-        swim = _as_modelled(TRUE, proposal.amplitude_rad, thesis(), number)
-        swims.append(replace(swim, speed_m_s=np.where(np.arange(40) % 7 < 3, 0.08, 0.0)))
+        trial = _as_modelled(TRUE, proposal.amplitude_rad, thesis(), number)
+        trials.append(replace(trial, speed_m_s=np.where(np.arange(40) % 7 < 3, 0.08, 0.0)))
     assert said == ["model", "p", "p", "p"]
 
 
@@ -215,8 +215,8 @@ def test_disturbance_is_a_scalar_kalman_filter_per_beat() -> None:
     clean = _as_modelled(TRUE, amplitude, thesis())
     speed = clean.speed_m_s + bump
     speed[30] = np.nan
-    swims = [replace(clean, speed_m_s=speed, trial=number) for number in (1, 2, 3)]
-    belief = believe(known(TRUE), swims)
+    trials = [replace(clean, speed_m_s=speed, trial=number) for number in (1, 2, 3)]
+    belief = believe(known(TRUE), trials)
     assert belief.fit is not None and not belief.refuted
     mean, variance = belief.disturbance(thesis().crc, 40)
     steady = float(belief.model.steady_m_s(0.5))
@@ -249,13 +249,13 @@ def test_band_holds_nine_tenths_and_the_test_raises_no_false_alarm() -> None:
     for seed in SEEDS:
         tank = Tank(seed)
         for _ in range(2):
-            proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.swims)
-            tank.swim(proposal.amplitude_rad, thesis())
-            speed = tank.swims[-1].speed_m_s
+            proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.trials)
+            tank.trial(proposal.amplitude_rad, thesis())
+            speed = tank.trials[-1].speed_m_s
             inside.append(np.mean((speed >= proposal.low_m_s) & (speed <= proposal.high_m_s)))
             low, _, high = proposal.predicted_max_abs_error_m_s
             largest.append(low <= np.abs(thesis().speed_m_s - speed).max() <= high)
-            alarms += believe(identified, tank.swims).refuted
+            alarms += believe(identified, tank.trials).refuted
     assert np.mean(inside) >= 0.9 and np.mean(largest) >= 0.8
     assert alarms == 0
 
@@ -264,10 +264,10 @@ def test_step_limit_holds_and_is_said() -> None:
     tank = Tank(1)
     first = propose(known(TRUE), thesis(), AMPLITUDE_MAX_RAD, step_max_rad=0.02)
     off = np.where(np.arange(40) < 20, -0.1, 0.1)
-    tank.swim(np.clip(first.amplitude_rad + off, 0, 0.6), thesis())
-    last = tank.swims[-1].amplitude_rad
+    tank.trial(np.clip(first.amplitude_rad + off, 0, 0.6), thesis())
+    last = tank.trials[-1].amplitude_rad
     for step in (0.02, 0.15):
-        found = propose(known(TRUE), thesis(), 0.6, tank.swims, step_max_rad=step)
+        found = propose(known(TRUE), thesis(), 0.6, tank.trials, step_max_rad=step)
         assert np.abs(found.amplitude_rad - last).max() <= step + 1e-12
         assert found.amplitude_rad.max() <= 0.6
         assert (found.limited_beats > 5) == (step == 0.02)
@@ -279,28 +279,28 @@ def test_decision_is_made_again_bit_for_bit() -> None:
     tank = Tank(3, camera_lost=0.3)
     tank.learn(identified, thesis(), 2)
     law = Law(lead_beats=1)
-    proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.swims, law, 0.1)
-    document = document_of(proposal, identified, thesis(), AMPLITUDE_MAX_RAD, tank.swims, law, 0.1)
+    proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.trials, law, 0.1)
+    document = document_of(proposal, identified, thesis(), AMPLITUDE_MAX_RAD, tank.trials, law, 0.1)
     read = json.loads(json.dumps(document, allow_nan=False))
-    made = repropose(read, tank.swims[::-1])
+    made = repropose(read, tank.trials[::-1])
     for name in ("amplitude_rad", "predicted_m_s", "low_m_s", "disturbance_m_s"):
         assert getattr(made, name).tobytes() == getattr(proposal, name).tobytes()
     assert made.model == proposal.model and read["input_crc"] == document["input_crc"]
-    touched = replace(tank.swims[1], speed_m_s=tank.swims[1].speed_m_s + 1e-12)
+    touched = replace(tank.trials[1], speed_m_s=tank.trials[1].speed_m_s + 1e-12)
     with pytest.raises(InputError, match="trial 2"):
-        repropose(read, [tank.swims[0], touched])
+        repropose(read, [tank.trials[0], touched])
     with pytest.raises(InputError, match="no proposal"):
-        repropose(read | {"fallback": {"gain": 4}}, tank.swims)
+        repropose(read | {"fallback": {"gain": 4}}, tank.trials)
 
 
 def test_foretold_is_what_was_known_before() -> None:
     identified, tank = known(TRUE), Tank(1)
     tank.learn(identified, thesis(), 2)
-    said = predicted_before(identified, thesis(), tank.swims)
-    before = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.swims[:1])
+    said = predicted_before(identified, thesis(), tank.trials)
+    before = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.trials[:1])
     assert said == pytest.approx(before.predicted_max_abs_error_m_s, rel=0.02)
     assert predicted_before(identified, thesis(), []) is None
-    assert predicted_before(identified, cosine(0.05, 8, 10), tank.swims) is None
+    assert predicted_before(identified, cosine(0.05, 8, 10), tank.trials) is None
 
 
 def test_no_swim_no_speed_and_damage() -> None:
@@ -313,20 +313,20 @@ def test_no_swim_no_speed_and_damage() -> None:
 
 
 def test_only_swims_after_the_identification_count() -> None:
-    swims = [_as_modelled(TRUE, np.full(40, 0.4), thesis(), number) for number in range(1, 6)]
-    identified = replace(known(TRUE), unique_id="aa", swims=swims[1:3])
-    assert [swim.trial for swim in trials_since(identified, swims, "aa")] == [4, 5]
-    assert [swim.trial for swim in trials_since(identified, swims, "bb")] == [1, 2, 3, 4, 5]
-    assert len(trials_since(replace(identified, swims=[]), swims, "aa")) == 5
+    trials = [_as_modelled(TRUE, np.full(40, 0.4), thesis(), number) for number in range(1, 6)]
+    identified = replace(known(TRUE), unique_id="aa", trials=trials[1:3])
+    assert [trial.trial for trial in trials_since(identified, trials, "aa")] == [4, 5]
+    assert [trial.trial for trial in trials_since(identified, trials, "bb")] == [1, 2, 3, 4, 5]
+    assert len(trials_since(replace(identified, trials=[]), trials, "aa")) == 5
 
 
 def test_numbers_that_come_again_hide_no_swim() -> None:
     """A board that lost its store, or a simulated one that starts again, counts from 1."""
     runs = [_as_modelled(TRUE, np.full(40, 0.4), thesis(), number) for number in (1, 2, 3, 4)]
     later = [_as_modelled(TRUE, np.full(40, 0.45), thesis(), number) for number in (5, 1, 2)]
-    identified = replace(known(TRUE), unique_id="aa", swims=runs)
+    identified = replace(known(TRUE), unique_id="aa", trials=runs)
     since = trials_since(identified, [*runs, *later], "aa")
-    assert [swim.trial for swim in since] == [5, 1, 2]
+    assert [trial.trial for trial in since] == [5, 1, 2]
     assert numbering_restarted([*runs, *later], since)
     assert not numbering_restarted(runs, runs)
     assert not numbering_restarted(runs, [runs[3], runs[1]])  # pulled late
@@ -459,16 +459,16 @@ def test_session_on_a_board(
     fish.arm()
     run_trial(fish)
     dry = learn(dry_run=True)
-    assert dry["dry_run"] is True and fish.status().pending_trial == 1 and not book.swims()
+    assert dry["dry_run"] is True and fish.status().pending_trial == 1 and not book.speeds()
     learned = learn()
     assert learned["amplitude_rad"] == dry["amplitude_rad"]
     status = fish.status()
     assert (status.pending_trial, status.iteration, status.best_iteration) == (None, 2, 1)
     assert fish.amplitudes().values.tolist() == np.float32(learned["amplitude_rad"]).tolist()
-    assert [swim.trial for swim in book.swims()] == [1]
+    assert [trial.trial for trial in book.speeds()] == [1]
     kept = book.proposals()
     assert [one["input_crc"] for one in kept] == [planned["input_crc"], learned["input_crc"]]
-    assert repropose(kept[1], book.swims()).amplitude_rad.tolist() == learned["amplitude_rad"]
+    assert repropose(kept[1], book.speeds()).amplitude_rad.tolist() == learned["amplitude_rad"]
     replanned = learn()
     assert replanned["amplitude_rad"] == learned["amplitude_rad"]
     assert fish.status().iteration == 2

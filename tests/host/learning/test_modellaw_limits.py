@@ -28,7 +28,7 @@ def recorded(batch: FishBatch, proposal: Proposal, number: int) -> tuple[TrialSp
     """One trial, and its true max|e|."""
     found = batch.run(proposal.amplitude_rad[None, :], number)
     error = np.abs(REFERENCE.speed_m_s - found.true_m_s[0]).max()
-    swim = TrialSpeeds(
+    trial = TrialSpeeds(
         proposal.amplitude_rad,
         found.speed_m_s[0],
         found.sigma_m_s[0],
@@ -36,7 +36,7 @@ def recorded(batch: FishBatch, proposal: Proposal, number: int) -> tuple[TrialSp
         REFERENCE.crc,
         number,
     )
-    return swim, float(error)
+    return trial, float(error)
 
 
 @pytest.mark.parametrize(("believed", "kappa"), [(5.0, 20.0), (6.0, 10.0)])
@@ -44,15 +44,15 @@ def test_a_step_limit_delays_and_does_not_prevent(believed: float, kappa: float)
     """Beats that were planned to rest have to push once the drag is known."""
     step = 0.15
     batch = FishBatch("tank", [{"seed": 1.0, "kappa_per_m": kappa}])
-    swims: list[TrialSpeeds] = []
+    trials: list[TrialSpeeds] = []
     errors = []
     for number in range(1, 6):
-        proposal = propose(known(believed), REFERENCE, LIMIT_RAD, swims, None, step)
-        if swims:
-            change = np.abs(proposal.amplitude_rad - swims[-1].amplitude_rad)
+        proposal = propose(known(believed), REFERENCE, LIMIT_RAD, trials, None, step)
+        if trials:
+            change = np.abs(proposal.amplitude_rad - trials[-1].amplitude_rad)
             assert change.max() <= step + 1e-9
-        swim, error = recorded(batch, proposal, number)
-        swims.append(swim)
+        trial, error = recorded(batch, proposal, number)
+        trials.append(trial)
         errors.append(error)
     floor = {20.0: 0.0072, 10.0: 0.0113}[kappa]
     assert min(errors[:1]) > 1.7 * floor
@@ -71,15 +71,15 @@ def test_only_what_the_step_limit_holds_is_counted() -> None:
     assert 10 < held.limited_beats <= np.count_nonzero(binds)
 
 
-def cut(swim: TrialSpeeds, beats: int) -> TrialSpeeds:
+def cut(trial: TrialSpeeds, beats: int) -> TrialSpeeds:
     """As trial_speeds gives a trial that was stopped."""
-    executed = np.arange(swim.beats) < beats
+    executed = np.arange(trial.beats) < beats
     return replace(
-        swim,
-        amplitude_rad=np.where(executed, swim.amplitude_rad, 0.0),
-        speed_m_s=np.where(executed, swim.speed_m_s, np.nan),
+        trial,
+        amplitude_rad=np.where(executed, trial.amplitude_rad, 0.0),
+        speed_m_s=np.where(executed, trial.speed_m_s, np.nan),
         swum_beats=beats,
-        trial=swim.trial + 1,
+        trial=trial.trial + 1,
     )
 
 

@@ -42,11 +42,11 @@ def test_a_guided_series(day_of: Callable[[SimBoard], Day], board: SimBoard) -> 
     day = day_of(board)
     day.types("reference", "upload", "thesis")
     series = day.types("trial", "run", "--until", 2, "--then", "keep")
-    assert [swim["decision"] for swim in series["swims"]] == ["keep", "keep"]
-    for swim in series["swims"]:
-        assert swim["ready"]["pose"]["source"] == swim["ready"]["drift"]["source"] == "camera"
-        assert swim["ready"]["drift"]["speed_m_s"] < 1e-4
-        assert swim["problems"] == [] and swim["max_abs_error_m_s"] < 0.0792
+    assert [trial["decision"] for trial in series["swims"]] == ["keep", "keep"]
+    for trial in series["swims"]:
+        assert trial["ready"]["pose"]["source"] == trial["ready"]["drift"]["source"] == "camera"
+        assert trial["ready"]["drift"]["speed_m_s"] < 1e-4
+        assert trial["problems"] == [] and trial["max_abs_error_m_s"] < 0.0792
 
 
 def test_a_second_reference_that_does_not_set_the_fish_going() -> None:

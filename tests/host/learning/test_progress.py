@@ -248,7 +248,7 @@ def identified_by(trials: list[Trial], source: str = "runs") -> Identified:
     model = FishModel(10.0, 0.219, 0.197, 0.3)
     return Identified(
         model, [model], np.diag([0.01, 0.001, 1e-4, 1e-3]), source=source,
-        unique_id=trials[0].unique_id, swims=[trial_speeds(trial) for trial in trials],
+        unique_id=trials[0].unique_id, trials=[trial_speeds(trial) for trial in trials],
     )  # fmt: skip
 
 
@@ -305,7 +305,7 @@ def test_a_discarded_repeat_counts_and_a_spoiled_swim_does_not(
         tailbeat("trial", "discard", *words, "--connect", "x")
     book = TrialLibrary(next((tmp_path / "book").iterdir()))
     assert [kept.mark for kept in book.kept()[0]] == ["", "", "discarded"]
-    assert [swim.trial for swim in book.swims()][-1] == numbers[0]
+    assert [trial.trial for trial in book.speeds()][-1] == numbers[0]
     out, _ = tailbeat("experiment", "progress", "--connect", "x", "--json")
     found = json.loads(out)
     assert [row["trial"] for row in found["trials"]][-1] == numbers[0]

@@ -67,7 +67,7 @@ def runge_kutta(alpha: float, node: Array, middle: Array, step: float) -> Array:
     return v
 
 
-def swim(alpha: float, u: Function, end: float, steps: int) -> Array:
+def trial(alpha: float, u: Function, end: float, steps: int) -> Array:
     time = np.linspace(0, end, steps + 1)
     return runge_kutta(alpha, u(time), u(time[:-1] + end / steps / 2), end / steps)
 
@@ -78,7 +78,7 @@ def test_the_rule_is_exact(alpha: float, m: float, s: float, seed: int) -> None:
     """Below the integrator's own error, which is what doubling its step changes."""
     u1, end, steps = wave(seed, 0.02), 8.0, 400
     time = np.linspace(0, end, 2 * steps + 1)
-    v1 = swim(alpha, u1, end, 2 * steps)
+    v1 = trial(alpha, u1, end, 2 * steps)
     assume(np.all(np.isfinite(v1)) and np.abs(v1).max() < 0.5)
     u2 = scaled_input(u1(time), u1(time) - alpha * v1 * np.abs(v1), m, s)
     v2 = runge_kutta(alpha, u2[::2], u2[1::2], end / s / steps)

@@ -21,7 +21,7 @@ RMS_MAX_M_S = 1.5e-3
 Floats = F64
 
 
-def swim(seed: int, folder: Path) -> tuple[Floats, Floats]:
+def trial(seed: int, folder: Path) -> tuple[Floats, Floats]:
     """(error, sigma) of each beat, m/s."""
     board = SimBoard("tank", seed=seed, camera_lost=0.1, link_bytes_per_s=0)
     late = ImpairedLine(SimTransport(board), [Delay(0.05, 0.3)], [Delay(0.05, 0.3)], seed)
@@ -41,9 +41,9 @@ def swim(seed: int, folder: Path) -> tuple[Floats, Floats]:
 
 
 def test_vision(tmp_path: Path) -> None:
-    swims = [swim(seed, tmp_path) for seed in range(1, SEEDS + 1)]
-    error = np.array([error for error, _ in swims])
-    sigma = np.array([sigma for _, sigma in swims])
+    trials = [trial(seed, tmp_path) for seed in range(1, SEEDS + 1)]
+    error = np.array([error for error, _ in trials])
+    sigma = np.array([sigma for _, sigma in trials])
     rms = np.sqrt(np.mean(error**2, axis=1))
     print(f"RMS of each trial, mm/s: {np.round(1e3 * rms, 2)}")
     assert np.all(rms <= RMS_MAX_M_S)

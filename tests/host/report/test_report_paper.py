@@ -33,7 +33,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.reference import from_text
 from tailbeat.experiment.analysis import Analysis, analyse
 from tailbeat.experiment.folder import Experiment
-from tailbeat.report import style as swims
+from tailbeat.report import style as looks
 from tailbeat.report.figures import comparison, contraction, learning, trials
 from tailbeat.report.page import Material, Picture, headline, page
 from tailbeat.report.paper import FIGURES, Drawing, write_report
@@ -193,7 +193,7 @@ def words(figure: Figure) -> str:
 def test_every_swim_is_a_point(analyses: list[Analysis]) -> None:
     analysis = analyses[0]
     figure = learning.draw([analysis], PAPER)
-    kinds = Counter(swims.kind_of(row) for row in analysis.rows)
+    kinds = Counter(looks.kind_of(row) for row in analysis.rows)
     assert kinds == {"kept": 5, "discarded": 2, "repeat": 2}
     for at, name in enumerate(("max_abs_error_m_s", "rms_error_m_s")):
         axes = figure.axes[at]
@@ -206,18 +206,18 @@ def test_every_swim_is_a_point(analyses: list[Analysis]) -> None:
         assert len(points(figure, f"swims {kind}")) == 2 * count
     assert all(0.5 < x < 8.5 for x, _ in points(figure, "swims"))
     iterations = [row.iteration for row in analysis.rows]
-    assert [round(x) for x in swims.places(analysis.rows)] == iterations
-    assert len(set(swims.places(analysis.rows))) == len(iterations)
+    assert [round(x) for x in looks.places(analysis.rows)] == iterations
+    assert len(set(looks.places(analysis.rows))) == len(iterations)
 
 
 def test_kinds_look_different(analyses: list[Analysis]) -> None:
     shapes = [
-        tuple(swims.marker(kind, LOOKS[0]).get(key) for key in ("marker", "mec", "mfc"))
-        for kind in swims.KINDS
+        tuple(looks.marker(kind, LOOKS[0]).get(key) for key in ("marker", "mec", "mfc"))
+        for kind in looks.KINDS
     ]
-    assert len(set(shapes)) == len(swims.KINDS)
+    assert len(set(shapes)) == len(looks.KINDS)
     for kind in ("kept", "repeat"):
-        assert {swims.marker(kind, look)["marker"] for look in LOOKS} == {x.marker for x in LOOKS}
+        assert {looks.marker(kind, look)["marker"] for look in LOOKS} == {x.marker for x in LOOKS}
     assert len({str(look.dash) for look in LOOKS}) == len(LOOKS)
 
 
@@ -236,7 +236,9 @@ def test_median_and_band(analyses: list[Analysis]) -> None:
 
 def test_two_swims_have_no_band() -> None:
     recorded = [made.trial(n, 1, error) for n, error in enumerate((0.02, 0.03), 1)]
-    figure = learning.draw([made.analysis(recorded, [made.row(swim) for swim in recorded])], PAPER)
+    figure = learning.draw(
+        [made.analysis(recorded, [made.row(trial) for trial in recorded])], PAPER
+    )
     assert bars(figure, 0, "band") == [] and "5 to 95 %" not in words(figure)
     assert len(points(figure, "swims kept")) == 4
 
@@ -660,9 +662,9 @@ def nan_row(number: int) -> tuple[Any, Any]:
 
 
 def edge(name: str) -> Analysis:
-    swim = made.trial(1, 1, 0.03)
+    trial = made.trial(1, 1, 0.03)
     if name == "one trial":
-        return made.analysis([swim], [made.row(swim)], noise_m_s=math.nan)
+        return made.analysis([trial], [made.row(trial)], noise_m_s=math.nan)
     if name == "not identified":
         return made.series([0.06, 0.03], floor_m_s=math.nan, floor_lsq_m_s=math.nan, floor_by="")
     if name == "all discarded":
@@ -673,13 +675,13 @@ def edge(name: str) -> Analysis:
         return made.analysis([x for x, _ in both], [x for _, x in both], noise_m_s=math.nan)
     if name == "one blind":
         blind, row = nan_row(2)
-        return made.analysis([swim, blind], [made.row(swim), row])
+        return made.analysis([trial, blind], [made.row(trial), row])
     if name == "all aborted":
         recorded = [made.trial(n, 1, 0.03, executed=5 * n) for n in (1, 2)]
         return made.analysis(recorded, [made.row(one) for one in recorded])
     if name == "aborted before the first beat":
         cut = made.trial(2, 2, 0.03, executed=0)
-        return made.analysis([swim, cut], [made.row(swim), made.row(cut)])
+        return made.analysis([trial, cut], [made.row(trial), made.row(cut)])
     if name == "60 iterations":
         return made.series([0.01 + 0.05 * 0.9**n for n in range(60)])
     if name == "2 beats":

@@ -137,14 +137,14 @@ class BadDay(Day):
 
     def require_resume(self, differs: str) -> None:
         """It was switched off: nothing swims or is learned before 'session resume'."""
-        before, swims = (
+        before, trials = (
             self.experiment().folder / "board" / "state.json",
             self.board.world.truth().swims,
         )
         held = before.read_bytes() if before.exists() else b""
         assert self.says(*KEEP)[0] == 1 and len(self.lines) == 1, self.lines
         words_of(differs, "tailbeat session resume", self.lines)
-        assert self.board.world.truth().swims == swims
+        assert self.board.world.truth().swims == trials
         assert (before.read_bytes() if before.exists() else b"") == held
         self.require_resume_only()
 
@@ -320,9 +320,9 @@ def test_the_link_drops_for_20_s(day: BadDay, command: tuple[str, ...]) -> None:
     assert day.lines[:2] == [LOST, BACK]
     if command is KEEP:
         assert status == 0 and len(day.lines) == 2
-        (swim,) = document["swims"]
-        assert (swim["end"], swim["executed_beats"]) == ("aborted:LINK_LOST", 7)
-        assert "not complete: aborted:LINK_LOST" in swim["problems"]
+        (trial,) = document["swims"]
+        assert (trial["end"], trial["executed_beats"]) == ("aborted:LINK_LOST", 7)
+        assert "not complete: aborted:LINK_LOST" in trial["problems"]
     else:
         assert status == 1 and len(day.lines) == 3
         words_of("not complete: aborted:LINK_LOST", "--then keep|repeat|discard", day.lines)
@@ -394,10 +394,10 @@ def test_a_board_that_was_switched_off_and_has_all_of_it(day: BadDay) -> None:
     assert day.says(*KEEP)[0] == 0
     day.board.world.swap_battery(8.2)
     day.fish().link.run(1.0)
-    swims = day.board.world.truth().swims
+    trials = day.board.world.truth().swims
     assert day.says(*KEEP)[0] == 1 and len(day.lines) == 1
     words_of("the board was switched off since trial 1", "tailbeat session resume", day.lines)
-    assert day.board.world.truth().swims == swims
+    assert day.board.world.truth().swims == trials
     assert day.says("session", "resume", "--no-repeat")[0] == 0
     day.require_goes_on()
 

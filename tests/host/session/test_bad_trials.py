@@ -126,7 +126,7 @@ class Session:
         self.fish.clock.sync()
         self.board.world.set_swim(trial)
 
-    def swim(self, trouble: Trouble | None = None) -> float:
+    def trial(self, trouble: Trouble | None = None) -> float:
         """One trial and what a person does after it; the true max|e|."""
         fish, spoil = self.fish, trouble or Trouble()
         fish.link.run(REST_S)
@@ -182,7 +182,7 @@ def clean(seed: int, limits: Limits) -> tuple[list[float], dict[int, bytes]]:
     errors, images = [], {}
     for trial in range(1, TRIALS + 1):
         images[trial] = session.board.flash
-        errors.append(session.swim())
+        errors.append(session.trial())
     return errors, {trial: images[trial] for trial in (1, *WHEN)}
 
 
@@ -203,7 +203,7 @@ def harm(seed: int, limits: Limits, troubles: dict[int, Trouble]) -> Harm:
     session.resume(images[first], first)
     ratio = {}
     for trial in range(first, TRIALS + 1):
-        ratio[trial] = session.swim(troubles.get(trial)) / errors[trial - 1]
+        ratio[trial] = session.trial(troubles.get(trial)) / errors[trial - 1]
     return Harm(ratio[TRIALS], ratio[bad + 1])
 
 
@@ -545,7 +545,7 @@ def test_the_best_comes_back_bit_for_bit(name: str, monkeypatch: pytest.MonkeyPa
     session.resume(images[7], 7)
     best = session.fish.amplitudes(best=True)
     assert np.all((best.values >= 0) & (best.values <= np.float32(THESIS.amp_max_rad)))
-    session.swim(KINDS[name](1, 7))
+    session.trial(KINDS[name](1, 7))
     now_best = session.fish.amplitudes(best=True)
     if name != "frozen position, 10 s":
         assert bits(now_best.values) == bits(best.values)

@@ -55,7 +55,7 @@ def types(*words: str) -> Result:
     return CliRunner().invoke(app, [*words, "--connect", "it"])
 
 
-def swims(fish: Fish, until_beat: int | None = None) -> int:
+def trials(fish: Fish, until_beat: int | None = None) -> int:
     """The next trial, as ``trial run`` in a script swims it; its number."""
     fish.arm()
     reached = False
@@ -73,7 +73,7 @@ def whats(experiment: Experiment) -> list[str]:
 
 def test_what_learn_learns_is_in_the_experiment(fish: Fish, experiment: Experiment) -> None:
     for _ in range(2):
-        swims(fish)
+        trials(fish)
         assert types("learn").exit_code == 0
     assert whats(experiment) == ["swum", "decided", "learned"] * 2
     assert experiment.journal.decisions()[2]["decision"] == "keep"
@@ -90,7 +90,7 @@ def test_what_is_dropped_without_a_word_is_in_it_too(fish: Fish, experiment: Exp
         (("trial", "discard"), "discard"),
         (("trial", "discard", "--repeat"), "repeat"),
     ):
-        number = swims(fish)
+        number = trials(fish)
         assert types(*words).exit_code == 0
         decision = experiment.journal.decisions()[number]
         assert (decision["decision"], decision["reason"]) == (kind, "by command, no reason given")
@@ -99,7 +99,7 @@ def test_what_is_dropped_without_a_word_is_in_it_too(fish: Fish, experiment: Exp
 
 def test_the_best_brought_back_is_in_the_experiment(fish: Fish, experiment: Experiment) -> None:
     for _ in range(2):
-        swims(fish)
+        trials(fish)
         assert types("learn").exit_code == 0
     assert types("learn", "--restore-best").exit_code == 0
     assert experiment.journal.entries("restored")[0]["trial"] in (1, 2)
@@ -113,7 +113,7 @@ def test_what_was_kept_to_be_learned_later_is_decided_once(
     fish: Fish, experiment: Experiment
 ) -> None:
     account = SessionLog(experiment)
-    log = keep_log(fish, experiment, swims(fish))
+    log = keep_log(fish, experiment, trials(fish))
     recorded = record_of(outcome_of(log.trial), log, None)
     account.recorded(recorded)
     account.decided(recorded, Decision("keep"))
@@ -125,7 +125,7 @@ def test_a_swim_along_another_reference_is_none_of_the_experiments(
     fish: Fish, experiment: Experiment
 ) -> None:
     fish.upload_reference(Reference(1.0, HILL.speed_m_s * np.float32(0.9), "lower"))
-    swims(fish)
+    trials(fish)
     assert types("learn").exit_code == 0
     assert types("learn", "--restore-best").exit_code == 0
     assert whats(experiment) == [] and not list(experiment.raw.glob("*.ulg"))
@@ -134,7 +134,7 @@ def test_a_swim_along_another_reference_is_none_of_the_experiments(
 def test_what_is_written_nowhere_is_told(fish: Fish, experiment: Experiment) -> None:
     fish.upload_reference(Reference(1.0, HILL.speed_m_s[::-1].copy(), "other"))
     for words in (("learn",), ("trial", "discard")):
-        swims(fish)
+        trials(fish)
         told = types(*words).stderr
         assert f"not written into {experiment.name}, which is of another reference" in told
     assert whats(experiment) == []
@@ -143,7 +143,7 @@ def test_what_is_written_nowhere_is_told(fish: Fish, experiment: Experiment) -> 
 def test_nothing_is_learned_on_a_full_disk_before_it_is_written_down(
     fish: Fish, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    number = swims(fish)
+    number = trials(fish)
     full = _FullDisk(monkeypatch, allowed=0)
     result = types("learn")
     assert isinstance(result.exception, InputError)
@@ -180,7 +180,7 @@ class _FullDisk:
 def test_a_stopped_board_is_told_before_anything_is_written(
     fish: Fish, experiment: Experiment, words: tuple[str, ...]
 ) -> None:
-    number = swims(fish, until_beat=1)
+    number = trials(fish, until_beat=1)
     assert fish.status().state == "ABORTED"
     before = whats(experiment)
     refused = types(*words).exception
@@ -203,7 +203,7 @@ def test_a_stopped_board_is_told_before_anything_is_written(
 def test_what_the_board_refuses_is_withdrawn(
     fish: Fish, experiment: Experiment, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:
-    number = swims(fish)
+    number = trials(fish)
 
     def refuses(self: Fish, trial: int | None = None) -> None:
         raise Refused(52, "WRITE_FAILED", "storage could not be written", "Try again.")
@@ -220,7 +220,7 @@ def test_a_swim_that_somebody_stopped_is_proposed_to_be_dropped_whenever_asked(
     fish: Fish, experiment: Experiment
 ) -> None:
     """``stop`` from elsewhere: no program here knows of it but by the log."""
-    log = keep_log(fish, experiment, swims(fish, until_beat=1))
+    log = keep_log(fish, experiment, trials(fish, until_beat=1))
     now = record_of(outcome_of(log.trial), log, None, BY_HAND)
     later = record_of(outcome_of(log.trial), log, None)
     assert proposed_decision(now) == Decision("discard", BY_HAND.text)
@@ -239,7 +239,7 @@ def test_who_stopped_it_is_known_after_a_restart(
     fish: Fish, experiment: Experiment, written: str, stopped: StopReason, wanted: Decision
 ) -> None:
     """The room's guard ends a swim with the same command as a key."""
-    number = swims(fish, until_beat=1)
+    number = trials(fish, until_beat=1)
     log = keep_log(fish, experiment, number)
     at_once = record_of(outcome_of(log.trial), log, None, stopped)
     SessionLog(experiment).recorded(at_once)

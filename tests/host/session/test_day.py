@@ -83,13 +83,13 @@ def trim_identify_design(day: Day) -> None:
 
 def begin_to_learn(day: Day) -> None:
     series = day.types("trial", "run", "--until", 2, "--then", "keep")
-    assert [swim["decision"] for swim in series["swims"]] == ["keep", "keep"]
-    for swim in series["swims"]:
-        assert swim["ready"]["drift"]["speed_m_s"] < 0.002
-        assert swim["ready"]["rested_s"] >= 30
-        assert abs(swim["straight"]["worst_yaw_rad"]) < math.radians(5)  # it is trimmed
-        assert swim["battery_end_v"] < swim["battery_start_v"]
-        assert swim["ready"]["travel"]["expected_m"] < swim["ready"]["travel"]["room_m"]
+    assert [trial["decision"] for trial in series["swims"]] == ["keep", "keep"]
+    for trial in series["swims"]:
+        assert trial["ready"]["drift"]["speed_m_s"] < 0.002
+        assert trial["ready"]["rested_s"] >= 30
+        assert abs(trial["straight"]["worst_yaw_rad"]) < math.radians(5)  # it is trimmed
+        assert trial["battery_end_v"] < trial["battery_start_v"]
+        assert trial["ready"]["travel"]["expected_m"] < trial["ready"]["travel"]["room_m"]
 
 
 def abort_and_bump(day: Day) -> None:
@@ -107,10 +107,10 @@ def abort_and_bump(day: Day) -> None:
 
 def swap_battery(day: Day) -> None:
     day.board.world.swap_battery(8.2, 0.99, 0.0)
-    swims = day.swims()
+    trials = day.trials()
     refused = day.types("trial", "run", "--then", "keep", status=1)
     assert "TLM_RATE_HZ" in str(refused) and "session resume" in str(refused)
-    assert day.swims() == swims
+    assert day.trials() == trials
     resumed = day.types("session", "resume", "--yes")
     assert resumed["restored"]["params"] == {"TLM_RATE_HZ": 10}
     assert resumed["restored"]["iteration"] == 3

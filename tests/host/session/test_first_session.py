@@ -222,12 +222,12 @@ def test_the_whole_of_it(quickly: None, tmp_path: Path, monkeypatch: pytest.Monk
         assert [step.name for step in steps[:4]] == ["look", "trim", "identify", "design"]
         assert all(step.done for step in steps), steps
         counted = sum(isinstance(e, Countdown) and e.left_s == 0 for e in somebody.told)
-        swims = sum(isinstance(e, TrialStarted) for e in somebody.told)
+        trials = sum(isinstance(e, TrialStarted) for e in somebody.told)
         rests = sum(
             isinstance(e, StepProgress) and e.step == "rest" and e.ok is True for e in somebody.told
         )
         assert (
-            swims >= 8 and counted == rests == swims
+            trials >= 8 and counted == rests == trials
         )  # the preflight checks goes before every one
         blind = [e for e in somebody.told if "not checked" in str(getattr(e, "text", ""))]
         assert blind == [], "its camera looks at every start"

@@ -59,7 +59,7 @@ def test_all_is_well(ready: Fish) -> None:
 # Rest
 
 
-def swim(fish: Fish, beats: int = 8) -> None:
+def trial(fish: Fish, beats: int = 8) -> None:
     fish.upload_amplitudes(np.full(beats, 0.3))
     assert run_trial(fish).end == "complete"
     fish.discard()
@@ -77,7 +77,7 @@ def test_rest_counts_from_the_end_of_the_last_swim(
 ) -> None:
     if known:  # by this process: it was there
         prepare(ready, replace(QUICK, still_s=0.0), None, Script())
-    swim(ready)
+    trial(ready)
     assert ready.sim is not None
     over_s = ready.sim.board_time_s
     ready.link.run(before_s)
@@ -99,7 +99,7 @@ def test_rest_counts_from_the_end_of_the_last_swim(
 def test_the_log_is_read_as_little_as_possible(
     ready: Fish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    swim(ready)
+    trial(ready)
     heads: list[tuple[str, int]] = []
     head = ready.ftp.head
 
@@ -114,14 +114,14 @@ def test_the_log_is_read_as_little_as_possible(
     assert {path for path, _ in heads} == {"/trials/0001.ulg"}
     assert sum(size for _, size in heads) <= 2 * 1024
     heads.clear()
-    swim(ready)
+    trial(ready)
     prepare(ready, wanted, None, Script())
     assert heads == []
 
 
 def test_a_board_that_has_restarted_has_rested_as_long_as_it_is_up(ready: Fish) -> None:
     ready.link.run(200.0)
-    swim(ready)
+    trial(ready)
     assert ready.sim is not None
     ready.sim.world.power_cycle()
     ready.link.run(6.0)
@@ -140,7 +140,7 @@ def test_a_log_that_is_gone_counts_as_a_swim_just_now(
     def none(path: str, size: int) -> bytes:
         raise FtpError(10, path)
 
-    swim(ready)
+    trial(ready)
     ready.link.run(60.0)
     monkeypatch.setattr(ready.ftp, "head", none)
     operator = Script()
@@ -153,7 +153,7 @@ def test_no_rest_when_none_is_asked_for_or_it_never_swam(ready: Fish) -> None:
     operator = Script()
     prepare(ready, PreflightLimits(rest_s=500.0, still_s=0.0), None, operator)
     assert operator.texts("rest")[-1] == "it has not executed yet"
-    swim(ready)
+    trial(ready)
     begin_s = ready.transport.now_s()
     prepare(ready, PreflightLimits(rest_s=0.0, still_s=0.0), None, operator)
     assert ready.transport.now_s() - begin_s < 6.0
@@ -163,7 +163,7 @@ def test_no_rest_when_none_is_asked_for_or_it_never_swam(ready: Fish) -> None:
 
 
 def test_no_room_is_told_before_anybody_waits(ready: Fish) -> None:
-    swim(ready)
+    trial(ready)
     ready.params.set("TANK_LEN_M", 0.5)
     operator = Script()
     begin_s = ready.transport.now_s()
@@ -481,7 +481,7 @@ def test_the_imu_feels_a_fish_that_is_moved(ready: Fish) -> None:
 
 def test_an_empty_battery_is_told_at_once(ready: Fish) -> None:
     assert ready.sim is not None
-    swim(ready)
+    trial(ready)
     ready.sim.world.set_battery_v(6.55)
     ready.link.run(1.0)
     begin_s = ready.transport.now_s()
@@ -569,7 +569,7 @@ def at(step: str) -> Callable[[list[Event]], bool]:
 
 @pytest.mark.parametrize("step", ["rest", "pose", "still"])
 def test_giving_up_in_each_step(ready: Fish, step: str) -> None:
-    swim(ready)
+    trial(ready)
     operator = Script(aborts=at(step))
     wanted = PreflightLimits(rest_s=12.0 if step == "rest" else 0.0)
     camera = Overhead(ready, lies(y_m=0.5) if step == "pose" else lies())
@@ -581,7 +581,7 @@ def test_giving_up_in_each_step(ready: Fish, step: str) -> None:
 
 @pytest.mark.parametrize(("step", "gone_s"), [("rest", 3.0), ("pose", 3.0), ("still", 6.0)])
 def test_a_camera_that_dies_in_each_step(ready: Fish, step: str, gone_s: float) -> None:
-    swim(ready)
+    trial(ready)
     operator = Script()
     wanted = PreflightLimits(rest_s=12.0 if step == "rest" else 0.0)
     way = lies(y_m=0.5) if step == "pose" else lies()
@@ -599,7 +599,7 @@ def test_a_link_that_is_lost_in_each_step(ready: Fish, step: str) -> None:
         if isinstance(event, StepProgress) and event.step == step and event.ok is None:
             ready.sim.world.set_radio(False)
 
-    swim(ready)
+    trial(ready)
     wanted = PreflightLimits(rest_s=40.0 if step == "rest" else 0.0)
     camera = Overhead(ready, lies(y_m=0.5) if step == "pose" else lies())
     begin_s = ready.transport.now_s()
@@ -611,7 +611,7 @@ def test_a_link_that_is_lost_in_each_step(ready: Fish, step: str) -> None:
 @pytest.mark.parametrize("seed", range(2))
 def test_over_a_bad_radio(ready: Fish, spoil: Callable[..., BadRadio], seed: int) -> None:
     print(f"seed {seed}")
-    swim(ready)
+    trial(ready)
     spoil(ready, seed=seed, lose=0.15, damage=0.05, twice=0.1)
     operator = Script()
     found = prepare(ready, PreflightLimits(rest_s=15.0), Overhead(ready, lies()), operator)
@@ -628,7 +628,7 @@ def test_over_a_bad_radio(ready: Fish, spoil: Callable[..., BadRadio], seed: int
 def test_the_head_of_a_file(
     ready: Fish, spoil: Callable[..., BadRadio], tmp_path: Path, size: int
 ) -> None:
-    swim(ready)
+    trial(ready)
     whole = ready.pull_trial(1, tmp_path).read_bytes()
     spoil(ready, seed=2, lose=0.1, twice=0.2)
     assert ready.ftp.head("/trials/0001.ulg", size) == whole[:size]

@@ -114,11 +114,11 @@ def experiment(fish: Fish, tmp_path: Path) -> Experiment:
 
 
 @pytest.fixture
-def swim(fish: Fish, experiment: Experiment) -> Callable[..., SeriesEnd]:
+def trial(fish: Fish, experiment: Experiment) -> Callable[..., SeriesEnd]:
     """A series without a ritual."""
 
-    def call(operator: Script, swims: int | None = 1, **options: Any) -> SeriesEnd:
-        options = {"until": Until(swims), "wanted": None, **options}
+    def call(operator: Script, trials: int | None = 1, **options: Any) -> SeriesEnd:
+        options = {"until": Until(trials), "wanted": None, **options}
         return run_series(fish, experiment, operator, Options(**options))
 
     return call
@@ -178,10 +178,10 @@ def test_no_end(text: str) -> None:
 
 
 def test_a_kept_swim_is_in_the_raw_files_the_journal_the_library_and_learned(
-    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+    trial: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
     operator = Script(KEEP)
-    end = swim(operator)
+    end = trial(operator)
     assert end.why == "swims" and end.records[0].outcome.end == "complete"
     assert [path.name for path in experiment.trial_files()] == ["0001.ulg"]
     assert kinds(experiment)[-4:] == ["begun", "swum", "decided", "learned"]
@@ -198,9 +198,9 @@ def test_a_kept_swim_is_in_the_raw_files_the_journal_the_library_and_learned(
 
 
 def test_only_kept_swims_count(
-    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+    trial: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
-    end = swim(Script(AGAIN, BUMPED, KEEP, KEEP), swims=2)
+    end = trial(Script(AGAIN, BUMPED, KEEP, KEEP), trials=2)
     assert [one.decision.kind for one in end.rounds] == ["repeat", "discard", "keep", "keep"]
     iterations = [recorded.outcome.iteration for recorded in end.records]
     assert iterations == [1, 1, 1, 2]
@@ -215,22 +215,22 @@ def test_only_kept_swims_count(
     ]  # fmt: skip
 
 
-def test_the_verdict_knows_repeats_and_no_discarded_swim(swim: Callable[..., SeriesEnd]) -> None:
-    end = swim(Script(BUMPED, KEEP))
+def test_the_verdict_knows_repeats_and_no_discarded_swim(trial: Callable[..., SeriesEnd]) -> None:
+    end = trial(Script(BUMPED, KEEP))
     assert end.verdict is not None and end.verdict.kind == "first"
-    end = swim(Script(AGAIN, KEEP))
+    end = trial(Script(AGAIN, KEEP))
     assert end.verdict is not None and end.verdict.kind != "first"
 
 
-def test_what_counts_can_be_chosen(swim: Callable[..., SeriesEnd]) -> None:
-    end = swim(Script(AGAIN, AGAIN), swims=2, counts=("repeat",))
+def test_what_counts_can_be_chosen(trial: Callable[..., SeriesEnd]) -> None:
+    end = trial(Script(AGAIN, AGAIN), trials=2, counts=("repeat",))
     assert end.why == "swims" and len(end.rounds) == 2 and end.verdict is None
 
 
 def test_positions_are_kept_from_the_start_of_the_swim(
-    swim: Callable[..., SeriesEnd], experiment: Experiment, board: SimBoard
+    trial: Callable[..., SeriesEnd], experiment: Experiment, board: SimBoard
 ) -> None:
-    swim(Script(KEEP))
+    trial(Script(KEEP))
     lines = (experiment.raw / "0001_positions.csv").read_text().splitlines()
     assert lines[0] == "t_s,x_m,y_m,heading_rad"
     rows = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
@@ -244,14 +244,14 @@ def test_positions_are_kept_from_the_start_of_the_swim(
 
 
 def test_a_swim_that_nothing_is_learned_from_yet(
-    swim: Callable[..., SeriesEnd], fish: Fish
+    trial: Callable[..., SeriesEnd], fish: Fish
 ) -> None:
-    end = swim(Script(KEEP), learn=False)
+    end = trial(Script(KEEP), learn=False)
     assert end.why == "swims" and fish.status().pending_trial == 1
     with pytest.raises(InputError, match="waits to be learned from"):
-        swim(Script(), learn=False)
+        trial(Script(), learn=False)
     asked = Script()
-    end = swim(asked)
+    end = trial(asked)
     assert asked.asked == [2], "trial 1 was decided on before"
     assert [one.learned is not None for one in end.rounds] == [True, True]
 
@@ -260,41 +260,41 @@ def test_a_swim_that_nothing_is_learned_from_yet(
 
 
 def test_a_person_s_key_stops_it_and_the_series_after_the_decision(
-    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment, board: SimBoard
+    trial: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment, board: SimBoard
 ) -> None:
-    end = swim(Script(BUMPED, abort_beat=2), swims=5)
+    end = trial(Script(BUMPED, abort_beat=2), trials=5)
     assert end.why == "interrupted" and len(end.rounds) == 1
     recorded = end.records[0]
     assert recorded.outcome.end == "aborted:ABORT_COMMAND" and recorded.outcome.executed_beats < 6
     assert any("stopped by hand" in problem for problem in recorded.problems)
     assert fish.status().state == "IDLE" and fish.status().iteration == 1
-    assert swim(Script(KEEP)).records[0].outcome.end == "complete"
+    assert trial(Script(KEEP)).records[0].outcome.end == "complete"
     require_nothing_lost(fish, experiment)
 
 
 def test_beats_of_an_aborted_swim_can_be_learned_from(
-    swim: Callable[..., SeriesEnd], fish: Fish
+    trial: Callable[..., SeriesEnd], fish: Fish
 ) -> None:
-    end = swim(Script(KEEP, abort_beat=1))
+    end = trial(Script(KEEP, abort_beat=1))
     assert end.why == "interrupted" and fish.status().last_learned_trial == 1
 
 
 def test_converged_ends_it(
-    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+    trial: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
     set_meant(fish, experiment, "AMP_MAX_RAD", 0.7)
-    end = swim(Script(), swims=None, until=Until(None, converged=True))
+    end = trial(Script(), trials=None, until=Until(None, converged=True))
     assert end.why == "converged" and end.verdict is not None and end.verdict.stop
     assert 3 <= len(end.rounds) < 30
     assert end.verdict.stop_reason in end.words
 
 
 def test_a_series_at_the_amplitude_limit_is_not_called_converged(
-    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+    trial: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
     set_meant(fish, experiment, "AMP_MAX_RAD", 0.4)
     operator = Script()
-    end = swim(operator, swims=None, until=Until(None, converged=True))
+    end = trial(operator, trials=None, until=Until(None, converged=True))
     assert end.why == "saturated" and end.verdict is not None
     found = end.verdict.saturation
     assert found is not None and found.needed_rad is not None and found.needed_rad > 0.45
@@ -308,17 +308,17 @@ def test_a_series_at_the_amplitude_limit_is_not_called_converged(
 
 
 def test_a_low_battery_ends_it_before_anybody_waits(
-    swim: Callable[..., SeriesEnd], board: SimBoard, fish: Fish
+    trial: Callable[..., SeriesEnd], board: SimBoard, fish: Fish
 ) -> None:
     board.world.set_battery_v(6.3)
     fish.link.run(3.0)
-    end = swim(Script(), swims=None)
+    end = trial(Script(), trials=None)
     assert end.why == "battery" and "6.60 V" in end.words and "session resume" in end.words
     assert end.rounds == []
 
 
 def test_a_battery_that_is_too_low_once_it_was(
-    swim: Callable[..., SeriesEnd], board: SimBoard, fish: Fish
+    trial: Callable[..., SeriesEnd], board: SimBoard, fish: Fish
 ) -> None:
     """Above the limit, but the board wants 0.2 V more: its refusal ends the series, too."""
     board.world.set_battery_v(6.3)
@@ -327,11 +327,11 @@ def test_a_battery_that_is_too_low_once_it_was(
         fish.arm()
     board.world.set_battery_v(6.7)
     fish.link.run(3.0)
-    assert swim(Script()).why == "battery"
+    assert trial(Script()).why == "battery"
 
 
 def test_the_board_s_own_stop_is_left_as_it_is(
-    swim: Callable[..., SeriesEnd], board: SimBoard, fish: Fish, experiment: Experiment
+    trial: Callable[..., SeriesEnd], board: SimBoard, fish: Fish, experiment: Experiment
 ) -> None:
     class Rolls(Script):
         def tell(self, event: Event) -> None:
@@ -340,41 +340,41 @@ def test_the_board_s_own_stop_is_left_as_it_is(
                 board.world.set_tilt_rad(1.4)
 
     set_meant(fish, experiment, "TILT_MAX_RAD", 0.5)
-    end = swim(Rolls(KEEP), swims=4)
+    end = trial(Rolls(KEEP), trials=4)
     assert end.why == "stopped" and "TILT" in end.words and "tailbeat board clear" in end.words
     assert fish.status().state == "ABORTED" and fish.status().pending_trial == 1
     assert kinds(experiment)[-1] == "decided"
     board.world.set_tilt_rad(0.0)
     refuses = Script()
     refuses.yes = False
-    end = swim(refuses)
+    end = trial(refuses)
     assert end.why == "stopped" and len(refuses.questions) == 1 and refuses.asked == []
     goes_on = Script()
-    end = swim(goes_on)
+    end = trial(goes_on)
     assert end.why == "swims" and goes_on.asked == [2]
     assert [one.learned.trial for one in end.rounds if one.learned] == [1, 2]
 
 
 def test_a_stopped_board_without_a_trial_is_asked_about(
-    swim: Callable[..., SeriesEnd], fish: Fish
+    trial: Callable[..., SeriesEnd], fish: Fish
 ) -> None:
     fish.arm()
     fish.abort()
     operator = Script()
-    assert swim(operator).why == "swims"
+    assert trial(operator).why == "swims"
     assert len(operator.questions) <= 1
 
 
 def test_rollback_is_told_with_what_it_means(
-    swim: Callable[..., SeriesEnd], fish: Fish, board: SimBoard, experiment: Experiment
+    trial: Callable[..., SeriesEnd], fish: Fish, board: SimBoard, experiment: Experiment
 ) -> None:
-    swim(Script(), swims=3)
+    trial(Script(), trials=3)
     set_meant(fish, experiment, "ROLLBACK_RATIO", 1.001)
     board.world.set_start(0.15)  # every trial begins with a push
     operator = Script()
     for _ in range(3):
         board.world.set_start(0.15)
-        swim(operator)
+        trial(operator)
     learned = operator.of(LearnReport)
     if not any(event.rolled_back for event in learned):
         pytest.fail(f"the set-up makes nothing worse: {learned}")
@@ -386,38 +386,38 @@ def test_rollback_is_told_with_what_it_means(
 
 
 def test_what_was_swum_elsewhere_is_decided_on_first(
-    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+    trial: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
     assert run_trial(fish).end == "complete"
     operator = Script(BUMPED, KEEP)
-    end = swim(operator)
+    end = trial(operator)
     assert operator.asked == [1, 2]
     assert [one.decision.kind for one in end.rounds] == ["discard", "keep"]
     require_nothing_lost(fish, experiment)
 
 
 def test_another_fish_or_reference_is_refused(
-    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+    trial: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
     experiment.write_settings({"unique_id": "00" * 16})
     with pytest.raises(InputError, match="another fish"):
-        swim(Script())
+        trial(Script())
     experiment.write_settings({"unique_id": fish.unique_id()})
     fish.upload_reference(records.encode_reference(1.0, SPEEDS * 0.5))
     with pytest.raises(InputError, match="another reference"):
-        swim(Script())
+        trial(Script())
     assert fish.status().next_trial == 1
 
 
 def test_a_fish_that_swims_is_left_alone(
-    fish: Fish, experiment: Experiment, swim: Callable[..., SeriesEnd], board: SimBoard
+    fish: Fish, experiment: Experiment, trial: Callable[..., SeriesEnd], board: SimBoard
 ) -> None:
     seen: list[bool] = []
 
     def meddle(event: Event) -> None:
         if isinstance(event, BeatEvent) and event.beat == 1 and not seen:
             with pytest.raises(TailbeatError, match="swims already"):
-                swim(Script())
+                trial(Script())
             seen.append(board.world.truth().swimming)
 
     assert run_trial(fish, on_event=meddle).end == "complete"
@@ -425,35 +425,35 @@ def test_a_fish_that_swims_is_left_alone(
 
 
 def test_a_swim_without_speeds_cannot_be_kept(
-    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment, board: SimBoard
+    trial: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment, board: SimBoard
 ) -> None:
     set_meant(fish, experiment, "SPD_SOURCE", 1)
     with pytest.raises(InputError, match="trial speeds"):
-        swim(Script(KEEP))
+        trial(Script(KEEP))
     assert fish.status().pending_trial == 1 and "decided" not in kinds(experiment)
     fish.upload_speeds(1, np.full(6, 0.05), np.full(6, 0.001))
-    end = swim(Script(KEEP, BUMPED), counts=("keep", "discard"))
+    end = trial(Script(KEEP, BUMPED), counts=("keep", "discard"))
     assert end.rounds[0].learned is not None and end.rounds[0].learned.trial == 1
     assert end.rounds[0].recorded.file.name == "0001-2.ulg"
 
 
 def test_a_refusal_to_learn_is_asked_about_again(
-    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+    trial: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
     run_trial(fish)
     set_meant(fish, experiment, "ILC_LEAD", 10)
     with pytest.raises(Refused):
-        swim(Script(KEEP))
+        trial(Script(KEEP))
     operator = Script(BUMPED, KEEP)
     set_meant(fish, experiment, "ILC_LEAD", 1)
-    swim(operator)
+    trial(operator)
     assert operator.asked == [1, 2]
 
 
 def test_a_board_that_counts_from_one_again(
-    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+    fish: Fish, board: SimBoard, experiment: Experiment, trial: Callable[..., SeriesEnd]
 ) -> None:
-    swim(Script(KEEP, KEEP), swims=2)
+    trial(Script(KEEP, KEEP), trials=2)
     board.flash = bytes(len(board.flash))
     board.world.power_cycle()
     fish.link.run(3.0)
@@ -463,9 +463,9 @@ def test_a_board_that_counts_from_one_again(
     fish.upload_reference(records.encode_reference(1.0, SPEEDS))
     operator = Script(BUMPED)
     with pytest.raises(InputError, match=r"has lost what it had learned.*session resume"):
-        swim(operator, counts=("discard",))
+        trial(operator, counts=("discard",))
     (experiment.folder / "board" / "state.json").unlink()  # nobody wants it back
-    end = swim(operator, counts=("discard",))
+    end = trial(operator, counts=("discard",))
     assert end.records[0].file.name == "0001-2.ulg" and operator.asked == [1]
     assert [path.name for path in experiment.trial_files()] == [
         "0001.ulg", "0002.ulg", "0001-2.ulg"
@@ -511,13 +511,13 @@ def require_goes_on(
     fish: Fish,
     board: SimBoard,
     experiment: Experiment,
-    swim: Callable[..., SeriesEnd],
+    trial: Callable[..., SeriesEnd],
     n: int,
 ) -> None:
     """The tail is still, nothing armed or lost, and the next call is a usual one."""
     assert at_rest(fish, board), f"call {n}: {fish.status()}"
     require_nothing_lost(fish, experiment)
-    end = swim(Script())
+    end = trial(Script())
     assert end.why == "swims", f"call {n}: {end.words}"
     assert end.records[-1].outcome.end == "complete", f"call {n}"
     require_nothing_lost(fish, experiment)
@@ -542,14 +542,14 @@ FEW = [6, pytest.param(40, marks=pytest.mark.soak)]
 
 @pytest.mark.parametrize("most", FEW)
 def test_ctrl_c_in_any_call_of_the_person(
-    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd], most: int
+    fish: Fish, board: SimBoard, experiment: Experiment, trial: Callable[..., SeriesEnd], most: int
 ) -> None:
     whole = Calls(0, KeyboardInterrupt())
-    assert swim(Interrupting(whole, KEEP)).why == "swims"
+    assert trial(Interrupting(whole, KEEP)).why == "swims"
     for n in spread(whole.count, most):
-        end = swim(Interrupting(Calls(n, KeyboardInterrupt())))
+        end = trial(Interrupting(Calls(n, KeyboardInterrupt())))
         assert end.why in ("interrupted", "swims"), f"call {n}"
-        require_goes_on(fish, board, experiment, swim, n)
+        require_goes_on(fish, board, experiment, trial, n)
 
 
 @pytest.mark.parametrize("most", [4, pytest.param(40, marks=pytest.mark.soak)])
@@ -558,7 +558,7 @@ def test_ctrl_c_in_any_call_of_the_link(
     fish: Fish,
     board: SimBoard,
     experiment: Experiment,
-    swim: Callable[..., SeriesEnd],
+    trial: Callable[..., SeriesEnd],
     monkeypatch: pytest.MonkeyPatch,
     method: str,
     most: int,
@@ -572,7 +572,7 @@ def test_ctrl_c_in_any_call_of_the_link(
 
         with monkeypatch.context() as patch:
             patch.setattr(fish.transport, method, call)
-            return swim(Script())
+            return trial(Script())
 
     fish.link.transport = fish.transport
     whole = Calls(0, KeyboardInterrupt())
@@ -582,23 +582,23 @@ def test_ctrl_c_in_any_call_of_the_link(
             assert run(Calls(n, KeyboardInterrupt())).why in ("interrupted", "swims"), f"call {n}"
         except KeyboardInterrupt:
             assert n < 60, "only before it begins may Ctrl-C come out"
-        require_goes_on(fish, board, experiment, swim, n)
+        require_goes_on(fish, board, experiment, trial, n)
 
 
 def test_a_swim_that_ends_before_its_first_beat(
-    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+    fish: Fish, board: SimBoard, experiment: Experiment, trial: Callable[..., SeriesEnd]
 ) -> None:
     operator = Script(abort_beat=-1)
-    end = swim(operator)
+    end = trial(operator)
     assert end.why == "interrupted" and end.rounds == [] and operator.asked == []
-    require_goes_on(fish, board, experiment, swim, 0)
+    require_goes_on(fish, board, experiment, trial, 0)
 
 
 def test_ctrl_c_once_it_is_armed(
     fish: Fish,
     board: SimBoard,
     experiment: Experiment,
-    swim: Callable[..., SeriesEnd],
+    trial: Callable[..., SeriesEnd],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from tailbeat.session.preflight_step import PreflightLimits
@@ -613,15 +613,15 @@ def test_ctrl_c_once_it_is_armed(
     with monkeypatch.context() as patch:
         patch.setattr(series_module, "countdown", counted)
         wanted = PreflightLimits(rest_s=0.0, still_s=2.0, countdown_s=1.0)
-        assert swim(Script(), wanted=wanted).why == "interrupted"
-    require_goes_on(fish, board, experiment, swim, 0)
+        assert trial(Script(), wanted=wanted).why == "interrupted"
+    require_goes_on(fish, board, experiment, trial, 0)
 
 
 def test_what_was_learned_but_not_written_down(
     fish: Fish,
     board: SimBoard,
     experiment: Experiment,
-    swim: Callable[..., SeriesEnd],
+    trial: Callable[..., SeriesEnd],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from tailbeat.experiment.journal import Journal
@@ -636,14 +636,14 @@ def test_what_was_learned_but_not_written_down(
     with monkeypatch.context() as patch:
         patch.setattr(Journal, "add", add)
         with pytest.raises(InputError):
-            swim(Script())
+            trial(Script())
     assert fish.status().last_learned_trial == 1 and "learned" not in kinds(experiment)
-    require_goes_on(fish, board, experiment, swim, 0)
+    require_goes_on(fish, board, experiment, trial, 0)
     assert [entry["trial"] for entry in experiment.journal.entries("learned")] == [1, 2]
 
 
 def test_ctrl_c_twice_in_mid_swim(
-    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+    fish: Fish, board: SimBoard, experiment: Experiment, trial: Callable[..., SeriesEnd]
 ) -> None:
     class Impatient(Script):
         def tell(self, event: Event) -> None:
@@ -652,9 +652,9 @@ def test_ctrl_c_twice_in_mid_swim(
             if beat or isinstance(event, InterruptRequested):
                 raise KeyboardInterrupt
 
-    end = swim(Impatient())
+    end = trial(Impatient())
     assert end.why == "interrupted" and end.rounds == []
-    require_goes_on(fish, board, experiment, swim, 0)
+    require_goes_on(fish, board, experiment, trial, 0)
 
 
 class FullDisk:
@@ -707,22 +707,22 @@ def test_a_full_disk_at_any_write(
     fish: Fish,
     board: SimBoard,
     experiment: Experiment,
-    swim: Callable[..., SeriesEnd],
+    trial: Callable[..., SeriesEnd],
     monkeypatch: pytest.MonkeyPatch,
     step: int,
 ) -> None:
     with monkeypatch.context() as patch:
         whole = FullDisk(patch, experiment.folder, at=10**9)
-        swim(Script())
+        trial(Script())
     assert whole.count > 5
     for n in range(1, whole.count + 1, step):
         with monkeypatch.context() as patch:
             FullDisk(patch, experiment.folder, at=n)
             with pytest.raises(InputError) as told:
-                swim(Script())
+                trial(Script())
         assert "No space left on device" in str(told.value), f"write {n}"
         assert "\n" not in str(told.value) and told.value.remedy, f"write {n}"
-        require_goes_on(fish, board, experiment, swim, n)
+        require_goes_on(fish, board, experiment, trial, n)
 
 
 def test_the_link_is_gone_for_20_s_in_mid_swim(fish: Fish, board: SimBoard, tmp_path: Path) -> None:
@@ -758,7 +758,7 @@ def test_the_link_is_gone_for_20_s_in_mid_swim(fish: Fish, board: SimBoard, tmp_
 
 
 def test_a_link_that_does_not_come_back(
-    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+    fish: Fish, board: SimBoard, experiment: Experiment, trial: Callable[..., SeriesEnd]
 ) -> None:
     class Cuts(Script):
         def tell(self, event: Event) -> None:
@@ -767,14 +767,14 @@ def test_a_link_that_does_not_come_back(
                 board.world.set_radio(False)
 
     with pytest.raises(TailbeatError, match="link broke"):
-        swim(Cuts(), reconnect_s=10.0)
+        trial(Cuts(), reconnect_s=10.0)
     board.world.set_radio(True)
     assert not board.world.truth().swimming
-    require_goes_on(fish, board, experiment, swim, 0)
+    require_goes_on(fish, board, experiment, trial, 0)
 
 
 def test_a_camera_that_dies(
-    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+    fish: Fish, board: SimBoard, experiment: Experiment, trial: Callable[..., SeriesEnd]
 ) -> None:
     class Dies(SimulatedCamera):
         dead_at_s = math.inf
@@ -791,7 +791,7 @@ def test_a_camera_that_dies(
     end = run_series(fish, experiment, operator, options, camera)
     assert end.records[0].outcome.end == "aborted:ABORT_COMMAND"
     assert any("unplugged" in event.text for event in operator.of(TrialWarning))
-    require_goes_on(fish, board, experiment, swim, 0)
+    require_goes_on(fish, board, experiment, trial, 0)
 
 
 # battery
@@ -822,13 +822,13 @@ def test_too_low() -> None:
 
 
 def test_a_battery_that_falls_is_told_and_journalled(
-    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+    fish: Fish, board: SimBoard, experiment: Experiment, trial: Callable[..., SeriesEnd]
 ) -> None:
     for volts in (7.2, 6.95, 6.7):
         board.world.set_battery_v(volts)
         fish.link.run(3.0)
         operator = Script()
-        swim(operator)
+        trial(operator)
     assert any("after this one" in event.text for event in operator.of(Notice))
     starts = [entry["battery_start_v"] for entry in experiment.journal.entries("swum")]
     assert starts == pytest.approx([7.2, 6.95, 6.7], abs=0.15)
@@ -841,7 +841,7 @@ def test_a_ritual_that_is_given_up(
     fish: Fish,
     board: SimBoard,
     experiment: Experiment,
-    swim: Callable[..., SeriesEnd],
+    trial: Callable[..., SeriesEnd],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def given_up(*_: Any) -> None:
@@ -850,18 +850,20 @@ def test_a_ritual_that_is_given_up(
     from tailbeat.session.preflight_step import PreflightLimits
 
     monkeypatch.setattr(series_module, "prepare", given_up)
-    end = swim(Script(), wanted=PreflightLimits())
+    end = trial(Script(), wanted=PreflightLimits())
     assert end.why == "interrupted" and "nobody wanted to wait" in end.words
-    require_goes_on(fish, board, experiment, swim, 0)
+    require_goes_on(fish, board, experiment, trial, 0)
 
 
 def test_with_the_ritual(
-    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+    fish: Fish, board: SimBoard, experiment: Experiment, trial: Callable[..., SeriesEnd]
 ) -> None:
     from tailbeat.session.preflight_step import PreflightLimits
 
     operator = Script()
-    end = swim(operator, swims=2, wanted=PreflightLimits(rest_s=20.0, still_s=4.0, countdown_s=3.0))
+    end = trial(
+        operator, trials=2, wanted=PreflightLimits(rest_s=20.0, still_s=4.0, countdown_s=3.0)
+    )
     assert end.why == "swims" and len(operator.of(Countdown)) == 2 * 4
     ready = end.records[1].ready
     assert ready is not None and ready.rested_s is not None and ready.rested_s >= 20.0
@@ -874,14 +876,14 @@ def test_with_the_ritual(
 
 @pytest.mark.parametrize("most", [3, pytest.param(60, marks=pytest.mark.soak)])
 def test_ctrl_c_in_any_call_of_the_person_with_the_ritual(
-    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd], most: int
+    fish: Fish, board: SimBoard, experiment: Experiment, trial: Callable[..., SeriesEnd], most: int
 ) -> None:
     from tailbeat.session.preflight_step import PreflightLimits
 
     wanted = PreflightLimits(rest_s=0.0, still_s=2.0, countdown_s=2.0)
     whole = Calls(0, KeyboardInterrupt())
-    swim(Interrupting(whole), wanted=wanted)
+    trial(Interrupting(whole), wanted=wanted)
     for n in spread(whole.count, most):
-        end = swim(Interrupting(Calls(n, KeyboardInterrupt())), wanted=wanted)
+        end = trial(Interrupting(Calls(n, KeyboardInterrupt())), wanted=wanted)
         assert end.why in ("interrupted", "swims"), f"call {n}"
-        require_goes_on(fish, board, experiment, swim, n)
+        require_goes_on(fish, board, experiment, trial, n)

@@ -267,8 +267,8 @@ def test_set_for_good_says_what_is_held(learned: Fish) -> None:
 
 
 def made(low: float, high: float, sigma: float = 0.01) -> Trim:
-    swims = TrimTrial(1466.0, low, sigma), TrimTrial(1534.0, high, sigma)
-    return centre_of(swims, 1500.0, "imu", PARAMS)
+    trials = TrimTrial(1466.0, low, sigma), TrimTrial(1534.0, high, sigma)
+    return centre_of(trials, 1500.0, "imu", PARAMS)
 
 
 def test_the_line_and_its_sigma() -> None:

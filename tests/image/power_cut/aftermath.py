@@ -142,15 +142,15 @@ def check_synced(data: bytes, trial: int, since_s: float) -> None:
     assert known_s >= synced_s - BATTERY_S, f"trial {trial} is known up to {known_s:.1f} s only"
 
 
-def go_on(fish: Fish, seen: View, swim: bool) -> None:
-    """The board is as good as before: it stores, arms and, with ``swim``, swims and learns."""
+def go_on(fish: Fish, seen: View, trial: bool) -> None:
+    """The board is as good as before: it stores, arms and, with ``trial``, swims and learns."""
     fish.params.set("ILC_GAIN", 2.0)
     fish.params.save()
     if seen.pending_trial is not None:
         fish.learn(seen.pending_trial)
     if seen.reference_crc is not None:
         fish.arm()
-        if swim:
+        if trial:
             outcome = run_trial(fish)
             expect("next trial", (outcome.number, outcome.end), (seen.next_trial, "complete"))
             fish.learn(outcome.number)

@@ -27,7 +27,7 @@ class Cut:
 
     number: int
     tick: int
-    swims: bool
+    trials: bool
     dice: random.Random
 
 
@@ -101,7 +101,7 @@ def check(session: Session, recovered: aftermath.Recovered, cut: Cut) -> str:
     files = aftermath.read_files(recovered.board.flash)
     aftermath.check_files(files)
     aftermath.check_trial_files(session, cut.tick, seen, files)
-    aftermath.go_on(fish, seen, cut.swims)
+    aftermath.go_on(fish, seen, cut.trials)
     aftermath.read_files(recovered.board.flash)
     views = session.step_at(cut.tick).views
     if len(set(views)) == 1:

@@ -325,7 +325,7 @@ def _text(
     volts = f"; battery {account.battery_text}" if account.battery_v else ""
     drag = f"; alpha {known.alpha_kg_m:.1f} kg/m" if known.alpha_kg_m else ""
     lines = [
-        f"identified from {len(account.swims)} swims: the model misses {account.beats} beats by "
+        f"identified from {len(account.trials)} swims: the model misses {account.beats} beats by "
         f"{mm(account.rms_m_s)} mm/s RMS{volts}{drag}",
         table(["", "", "", "95 % interval"], rows, left=(0, 2, 3)),
         *(f"warning: {text}" for text in account.warnings),

@@ -118,10 +118,10 @@ def learn_with_model(
     warn_if_another(identified, unique_id)
     setting = setting_of(fish)
     every, kept = _swims(fish, pending, book, dry_run)
-    swims = trials_since(identified, every, unique_id)
-    if numbering_restarted(every, swims):
+    trials = trials_since(identified, every, unique_id)
+    if numbering_restarted(every, trials):
         warn(_ANEW)
-    step = next_step(setting, identified, swims)
+    step = next_step(setting, identified, trials)
     if dry_run:
         return _output(step, pending, None, None, None)
     report = None if pending is None else learn_and_log(fish, pending, "learn --law model")
@@ -158,16 +158,16 @@ def _swims(
     """All in the library and the pending one, which is kept there unless it is a dry run; and where
     it is kept."""
     if pending is None:
-        return book.swims() if book is not None else [], None
+        return book.speeds() if book is not None else [], None
     with TemporaryDirectory() as folder:
         path = pull_with_bar(fish, pending, Path(folder))
         if book is None:
-            swim = trial_speeds(read_trial(path))
-            return [swim] if swim.measured.any() else [], None
+            trial = trial_speeds(read_trial(path))
+            return [trial] if trial.measured.any() else [], None
         if dry_run:
-            return book.swims(path), None
+            return book.speeds(path), None
         kept = book.keep(path)
-        return book.swims(kept), kept
+        return book.speeds(kept), kept
 
 
 def _output(

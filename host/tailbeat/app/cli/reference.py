@@ -271,7 +271,7 @@ def _expected(known: _CheckedAgainst, reference: Reference) -> Saturation | None
 def _known(
     path: Path | None, amp_max: float | None, tank: float | None, connect: str | None
 ) -> _CheckedAgainst:
-    swims: list[TrialSpeeds] = []
+    trials: list[TrialSpeeds] = []
     loaded = Identified.load(path) if path is not None else None
     if loaded is not None and amp_max is not None:
         limits = ReferenceLimits()
@@ -282,10 +282,10 @@ def _known(
                 amp_max = fish.params.get("AMP_MAX_RAD").value
             if loaded is None and (library := library_of(fish)) is not None:
                 loaded = library.identified()
-                swims = library.swims() if loaded is None else []
+                trials = library.speeds() if loaded is None else []
     if tank is not None:
         limits = replace(limits, tank_m=tank)
-    return _CheckedAgainst(limits, amp_max, loaded, known_fish(loaded, swims))
+    return _CheckedAgainst(limits, amp_max, loaded, known_fish(loaded, trials))
 
 
 def _suggested(

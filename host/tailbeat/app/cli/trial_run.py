@@ -225,7 +225,7 @@ def _run_guided(fish: Fish, live: LiveCamera, given: GuideOptions) -> Output:
         )
         end = run_series(fish, experiment, operator, options, live.camera, live.guard)
     until = options.until
-    good = (*_GOOD_ENDS, "battery") if until.swims is None and not until.converged else _GOOD_ENDS
+    good = (*_GOOD_ENDS, "battery") if until.trials is None and not until.converged else _GOOD_ENDS
     status = 0 if end.why in good else 130 if end.why == "interrupted" else 1
     if status:
         warn(end.words)

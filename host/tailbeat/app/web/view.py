@@ -92,7 +92,7 @@ def by_status(now: PageState, status: BoardStatus) -> PageState:
     """What the board says of itself once a second."""
     stopped = status.state in STOPPED and status.fault.number != 0
     fault = status.fault
-    swims = status.state in ("RUNNING", "SETTLING")
+    trials = status.state in ("RUNNING", "SETTLING")
     return replace(
         now,
         state=status.state,
@@ -100,7 +100,7 @@ def by_status(now: PageState, status: BoardStatus) -> PageState:
         iteration=status.iteration,
         next_trial=status.next_trial,
         pending=status.pending_trial,
-        beat=status.beat if swims else None,
+        beat=status.beat if trials else None,
         fault=f"{fault.meaning}. {fault.remedy}" if stopped else "",
     )
 

@@ -91,7 +91,7 @@ class Worker:
         self._thread.start()
 
     def ask(self, what: str, **values: Any) -> None:
-        """``swim`` {until, ritual}, ``abort``, ``decide`` {kind, reason}, ``answer`` {yes},
+        """``trial`` {until, ritual}, ``abort``, ``decide`` {kind, reason}, ``answer`` {yes},
         ``upload`` {reference}, ``set`` {name, value}, ``note`` {text}, ``clear``, ``fresh`` (a new
         experiment). Never blocks; what came of it is in ``now``. ``abort`` overtakes everything.
         Raises InputError for what makes no sense now."""

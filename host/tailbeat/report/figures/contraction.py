@@ -8,7 +8,6 @@ from typing import Any
 
 from tailbeat.experiment.analysis import Analysis
 from tailbeat.experiment.trial_rows import student_t
-from tailbeat.report import style as swims
 from tailbeat.report.style import (
     BAND,
     INK,
@@ -24,10 +23,14 @@ from tailbeat.report.style import (
     head_legend,
     iteration_axis,
     labels,
+    lane,
+    legend_of_conditions,
     log_axis,
     marked,
+    marker,
     mpl_patches,
     nothing,
+    places,
 )
 
 _SHOWN = (0.5, 2.0)  # ratios; a band of noise is shown as far as that, swims always
@@ -62,14 +65,14 @@ def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
 def _swims(axes: Axes, analysis: Analysis, at: int, of: int) -> list[float]:
     """The ratios drawn."""
     rows = analysis.last_rows
-    where = swims.places(rows, at, of)
-    middle, width = swims.lane(at, of)
+    where = places(rows, at, of)
+    middle, width = lane(at, of)
     shown = []
     bands: dict[int, tuple[float, float]] = {}
     for x, row in zip(where, rows, strict=True):
         if not math.isfinite(row.contraction) or row.contraction <= 0 or not row.counts:
             continue
-        style = swims.marker("kept", LOOKS[at])
+        style = marker("kept", LOOKS[at])
         axes.plot([x], [row.contraction], gid=f"contraction {row.trial}", **style)
         shown.append(row.contraction)
         if row.rolled_back:
@@ -88,7 +91,7 @@ def _swims(axes: Axes, analysis: Analysis, at: int, of: int) -> list[float]:
 
 def _legend(figure: Figure, analyses: Sequence[Analysis], style: Style) -> None:
     drawn = [row for one in analyses for row in one.last_rows if math.isfinite(row.contraction)]
-    entries: list[Any] = [*swims.legend_of_conditions(labels(analyses))]
+    entries: list[Any] = [*legend_of_conditions(labels(analyses))]
     freedoms = [one.noise_freedom for one in analyses if one.noise_freedom]
     if freedoms and any(math.isfinite(row.noise_low) for row in drawn):
         words = f"noise alone, 95 %, {freedom_words(*freedoms)}"

@@ -18,7 +18,7 @@ _COLUMNS = 2
 
 def draw_account(account: Account, path: Path, simulated: bool = False) -> None:
     """Writes a PNG of 1600 x 1000 px: map with band, numbers, runs with residuals."""
-    count = len(account.swims)
+    count = len(account.trials)
     title = f"The fish, identified from {count} trial{'' if count == 1 else 's'}"
     volts = f", battery {account.battery_text}" if account.battery_v else ""
     words = (
@@ -34,7 +34,7 @@ def draw_account(account: Account, path: Path, simulated: bool = False) -> None:
         parts: Any = figure.subfigures(1, 2, width_ratios=[0.38, 0.62])
         left, right = parts
         axes = left.add_axes((0.17, 0.38, 0.78, 0.455))
-        top_rad = max(swim.top_rad for swim in account.swims)
+        top_rad = max(trial.top_rad for trial in account.trials)
         _draw_map(axes, account.identified, *account.steady, top_rad, "95 % band")
         _numbers(left, account)
         _runs(right, account)
@@ -89,46 +89,46 @@ def _numbers(part: Figure, account: Account) -> None:
 
 
 def _runs(part: Figure, account: Account) -> None:
-    swims = account.swims[-_PANELS_MAX:]
-    rows = -(-len(swims) // _COLUMNS)
+    trials = account.trials[-_PANELS_MAX:]
+    rows = -(-len(trials) // _COLUMNS)
     grid = part.add_gridspec(
         rows, _COLUMNS, left=0.07, right=0.975, bottom=0.075, top=0.835, hspace=0.36, wspace=0.17,
     )  # fmt: skip
-    speed = max(float(np.nanmax(np.r_[s.speed_m_s, s.model_m_s])) for s in swims) * 1e3
-    miss = max(float(np.nanmax(np.abs(s.speed_m_s - s.model_m_s))) for s in swims) * 1e3
-    for index, swim in enumerate(swims):
+    speed = max(float(np.nanmax(np.r_[s.speed_m_s, s.model_m_s])) for s in trials) * 1e3
+    miss = max(float(np.nanmax(np.abs(s.speed_m_s - s.model_m_s))) for s in trials) * 1e3
+    for index, trial in enumerate(trials):
         cell = grid[index // _COLUMNS, index % _COLUMNS].subgridspec(
             2, 1, height_ratios=[2.6, 1], hspace=0.12
         )
         above = part.add_subplot(cell[0])
         below = part.add_subplot(cell[1], sharex=above)
-        _draw_run(above, below, swim, speed, miss)
+        _draw_run(above, below, trial, speed, miss)
         if index == 0:
             above.legend(loc="upper left")
         if index % _COLUMNS == 0:
             above.set_ylabel("mm/s")
             below.set_ylabel("miss,\nmm/s")
-        if index + _COLUMNS >= len(swims):
+        if index + _COLUMNS >= len(trials):
             below.set_xlabel("time, s")
 
 
-def _draw_run(above: Axes, below: Axes, swim: SwimAccount, top: float, miss: float) -> None:
-    middle = (np.arange(len(swim.speed_m_s)) + 0.5) * swim.beat_s
+def _draw_run(above: Axes, below: Axes, trial: SwimAccount, top: float, miss: float) -> None:
+    middle = (np.arange(len(trial.speed_m_s)) + 0.5) * trial.beat_s
     above.plot(
-        middle, swim.speed_m_s * 1e3, "o", ms=5.5, mfc="white", mec=INK, mew=1.4, zorder=3,
+        middle, trial.speed_m_s * 1e3, "o", ms=5.5, mfc="white", mec=INK, mew=1.4, zorder=3,
         label="measured",
     )  # fmt: skip
-    above.plot(middle, swim.model_m_s * 1e3, color=ACCENT, lw=2, zorder=2, label="model")
-    above.set(ylim=(-0.04 * top, top * 1.12), title=_run_title(swim))
+    above.plot(middle, trial.model_m_s * 1e3, color=ACCENT, lw=2, zorder=2, label="model")
+    above.set(ylim=(-0.04 * top, top * 1.12), title=_run_title(trial))
     above.tick_params(labelbottom=False)
     below.axhline(0, color=ACCENT, lw=1.2)
-    below.vlines(middle, 0, (swim.speed_m_s - swim.model_m_s) * 1e3, color=INK, lw=2)
+    below.vlines(middle, 0, (trial.speed_m_s - trial.model_m_s) * 1e3, color=INK, lw=2)
     below.set_ylim(-1.15 * max(miss, 1.0), 1.15 * max(miss, 1.0))
     for axes in (above, below):
         axes.grid(axis="y")
 
 
-def _run_title(swim: SwimAccount) -> str:
-    name = f"trial {swim.trial}: " if swim.trial else ""
-    volts = f", {swim.battery_v:.1f} V" if swim.battery_v is not None else ""
-    return f"{name}up to {np.degrees(swim.top_rad):.0f}°, {swim.way_m:.2f} m{volts}"
+def _run_title(trial: SwimAccount) -> str:
+    name = f"trial {trial.trial}: " if trial.trial else ""
+    volts = f", {trial.battery_v:.1f} V" if trial.battery_v is not None else ""
+    return f"{name}up to {np.degrees(trial.top_rad):.0f}°, {trial.way_m:.2f} m{volts}"

@@ -11,13 +11,13 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.experiment.analysis import Analysis, IterationStatistics
 from tailbeat.experiment.trial_rows import TrialRow
-from tailbeat.report import style as swims
 from tailbeat.report.style import (
     BAND,
     DASHED,
     DOTTED,
     GREY,
     INK,
+    KINDS,
     LOOKS,
     Axes,
     Figure,
@@ -29,12 +29,19 @@ from tailbeat.report.style import (
     entry,
     head_legend,
     iteration_axis,
+    kind_of,
     labels,
+    lane,
+    legend_of_conditions,
+    legend_of_kinds,
+    level,
     log_axis,
     marked,
+    marker,
     mm,
     mpl_patches,
     nothing,
+    places,
 )
 
 BAND_SWIMS_MIN = 3  # fewer have no 5 to 95 % band worth the name
@@ -70,23 +77,23 @@ def _panel(axes: Axes, analyses: Sequence[Analysis], what: str, style: Style) ->
 
 
 def _swims(
-    axes: Axes, analysis: Analysis, look: Look, what: str, lane: tuple[int, int]
+    axes: Axes, analysis: Analysis, look: Look, what: str, side: tuple[int, int]
 ) -> list[float]:
     """The values drawn, mm/s."""
     rows = analysis.last_rows
     values = [1e3 * _value(row, what) for row in rows]
-    where = swims.places(rows, *lane)
+    where = places(rows, *side)
     shown = []
-    for kind in swims.KINDS:
+    for kind in KINDS:
         points = [
             (x, y)
             for x, y, row in zip(where, values, rows, strict=True)
-            if swims.kind_of(row) == kind and math.isfinite(y) and y > 0
+            if kind_of(row) == kind and math.isfinite(y) and y > 0
         ]
         if points:
-            axes.plot(*zip(*points, strict=True), gid=f"swims {kind}", **swims.marker(kind, look))
+            axes.plot(*zip(*points, strict=True), gid=f"swims {kind}", **marker(kind, look))
             shown += [y for _, y in points]
-    _median_and_band(axes, analysis.band, look, what, lane)
+    _median_and_band(axes, analysis.band, look, what, side)
     return shown
 
 
@@ -95,16 +102,16 @@ def _value(row: TrialRow, what: str) -> float:
 
 
 def _median_and_band(
-    axes: Axes, band: IterationStatistics, look: Look, what: str, lane: tuple[int, int]
+    axes: Axes, band: IterationStatistics, look: Look, what: str, side: tuple[int, int]
 ) -> None:
     median, low, high = (1e3 * one for one in _of_band(band, what))
-    middle, width = swims.lane(*lane)
+    middle, width = lane(*side)
     x = band.iteration + middle
     good = np.isfinite(median) & (median > 0)
     line = axes.plot(x[good], median[good], color=look.colour, ls=look.dash, lw=1.1, zorder=2.5)
     line[0].set_gid(f"median {what}")
     broad = good & (band.swims >= BAND_SWIMS_MIN) & (low > 0)
-    colour: Any = BAND if lane[1] == 1 else (look.colour, _SHADE)
+    colour: Any = BAND if side[1] == 1 else (look.colour, _SHADE)
     axes.bar(
         x[broad], (high - low)[broad], 0.56 * width, bottom=low[broad], color=colour, lw=0,
         zorder=0.5, gid=f"band {what}",
@@ -125,7 +132,7 @@ def _levels(axes: Axes, analyses: Sequence[Analysis], what: str, style: Style) -
     zero = start_m_s(analyses[0], what) * 1e3
     if math.isfinite(zero) and zero > 0:
         text = f"baseline {zero:.1f}"
-        swims.level(axes, zero, text, color=GREY, ls=DOTTED, left=False, above=True, **look)
+        level(axes, zero, text, color=GREY, ls=DOTTED, left=False, above=True, **look)
         drawn.append(zero)
     if what == "max":
         drawn += _floors(axes, analyses, look)
@@ -149,21 +156,21 @@ def _floors(axes: Axes, analyses: Sequence[Analysis], look: dict[str, Any]) -> l
         line = analysis.floor_m_s * 1e3
         colour = LOOKS[list(analyses).index(analysis)].colour if len(known) > 1 else INK
         words = f"error bound {text}{whose}"
-        swims.level(axes, line, words, color=colour, ls=DASHED, left=True, above=False, **look)
+        level(axes, line, words, color=colour, ls=DASHED, left=True, above=False, **look)
         drawn.append(line)
     squares = analyses[0].floor_lsq_m_s
     if len(analyses) == 1 and math.isfinite(squares):
         text = f"L2-optimal {mm(squares)}"
-        swims.level(axes, squares * 1e3, text, color=GREY, ls=DOTTED, left=True, above=True, **look)
+        level(axes, squares * 1e3, text, color=GREY, ls=DOTTED, left=True, above=True, **look)
         drawn.append(squares * 1e3)
     return drawn
 
 
 def _legend(figure: Figure, analyses: Sequence[Analysis], style: Style) -> None:
-    kinds = swims.legend_of_kinds(analyses)
+    kinds = legend_of_kinds(analyses)
     single = len(analyses) == 1
     median = entry("median", color=INK if single else GREY, lw=1.1)
-    entries: list[Any] = [*swims.legend_of_conditions(labels(analyses)), *kinds, median]
+    entries: list[Any] = [*legend_of_conditions(labels(analyses)), *kinds, median]
     if any((analysis.band.swims >= BAND_SWIMS_MIN).any() for analysis in analyses):
         entries.append(mpl_patches.Patch(color=BAND, lw=0, label="5 to 95 %"))
     head_legend(figure, entries, (6 if single else 3) if style.wide else 2)
@@ -195,7 +202,7 @@ def caption(analyses: Sequence[Analysis]) -> str:
         text += (
             f"; grey, where an iteration has {BAND_SWIMS_MIN} swims or more: 5th to 95th percentile"
         )
-    if any(swims.kind_of(row) == "incomplete" for row in rows):
+    if any(kind_of(row) == "incomplete" for row in rows):
         text += (
             ". Bars: swims cut short or with beats that were not measured, by the beats they have, "
             "in no statistic"

@@ -63,15 +63,15 @@ def alone(capsys: pytest.CaptureFixture[str]) -> Shell:
 
 
 def test_a_session(board: Shell, alone: Shell, tmp_path: Path) -> None:
-    swim = tmp_path / "swim.csv"
-    swim.write_text("t_s,v_m_s\n0,0\n2,0.06\n8,0.06\n10,0\n")
+    trial = tmp_path / "swim.csv"
+    trial.write_text("t_s,v_m_s\n0,0\n2,0.06\n8,0.06\n10,0\n")
     assert board.json("info")["status"]["state"] == "IDLE"
     assert board.json("params", "set", "AMP_MAX_RAD", "0.75")["value"] == 0.75
     assert board.json("params", "set", "ilc_lead", "1") == {
         "name": "ILC_LEAD", "value": 1.0, "unit": "beats",
     }  # fmt: skip
-    assert board.json("reference", "check", str(swim))["problems"] == []
-    assert board.text("reference", "upload", str(swim)).startswith("uploaded swim: 10 beats")
+    assert board.json("reference", "check", str(trial))["problems"] == []
+    assert board.text("reference", "upload", str(trial)).startswith("uploaded swim: 10 beats")
     assert board.json("reference", "show")["beats"] == 10
     assert board.json("board", "arm")["state"] == "ARMED"
     assert board.json("board", "disarm")["state"] == "IDLE"
@@ -88,7 +88,7 @@ def test_a_session(board: Shell, alone: Shell, tmp_path: Path) -> None:
     assert board.json("learn", "--restore-best")["restored"] is True
     assert [t["number"] for t in board.json("trial", "list")["trials"]] == [1, 2]
     folder = board.json(
-        "experiment", "new", "--reference", str(swim), "--root", str(tmp_path / "e")
+        "experiment", "new", "--reference", str(trial), "--root", str(tmp_path / "e")
     )["folder"]
     files = board.json("trial", "pull", "--all", "--into", folder)["files"]
     assert [Path(path).name for path in files] == ["0001.ulg", "0002.ulg"]

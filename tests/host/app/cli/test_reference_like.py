@@ -55,11 +55,11 @@ def fish(simulated: SimBoard) -> Iterator[Fish]:
 def learned(fish: Fish) -> Fish:
     """Three trials along OLD."""
     fish.upload_reference(references.from_text(OLD).record())
-    swim(fish, 3)
+    trial(fish, 3)
     return fish
 
 
-def swim(fish: Fish, trials: int) -> list[float]:
+def trial(fish: Fish, trials: int) -> list[float]:
     found = []
     for _ in range(trials):
         fish.arm()
@@ -117,11 +117,11 @@ def test_from_the_board(learned: Fish, shell: Shell) -> None:
     assert (like["saturated_beats"], like["model"]) == (0, "board")
     assert like["expected_travel_m"] == pytest.approx(document["travel_m"], rel=2e-3)
     assert Snapshot.read(Path(document["copy"])).learned == held
-    (first,) = swim(learned, 1)
+    (first,) = trial(learned, 1)
     learned.params.set("ILC_GAIN", 6)  # or the first guess stays within the dead zone
     learned.upload_reference(references.from_text(OLD).record())
     learned.upload_reference(references.from_text(SLOWER).record())
-    assert first < 0.5 * swim(learned, 1)[0]
+    assert first < 0.5 * trial(learned, 1)[0]
 
 
 def test_one_quiet_line(learned: Fish, shell: Shell) -> None:
@@ -257,7 +257,7 @@ def test_the_link_drops_between_the_uploads(
         assert document["like"]["from"].startswith("the copy ")
         assert document["copy"] is None
         np.testing.assert_array_equal(learned.amplitudes().values, want)
-    swim(learned, 1)
+    trial(learned, 1)
     assert "has learned along" in shell.fails(SLOWER, "--warm-start", "board")
 
 
@@ -369,11 +369,11 @@ def study(
         for name, value in wanted.items():
             fish.params.set(name, value)
         fish.upload_reference(new.record())
-        fresh = swim(fish, 4)
+        fresh = trial(fish, 4)
         fish.upload_reference(old.record())
-        best = min(swim(fish, learn))
+        best = min(trial(fish, learn))
         upload_transfer(fish, plan(fish, "board", new))
-        return best, fresh, swim(fish, 1)[0]
+        return best, fresh, trial(fish, 1)[0]
 
 
 @pytest.mark.parametrize(

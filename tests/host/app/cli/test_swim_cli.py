@@ -87,7 +87,7 @@ def board(monkeypatch: pytest.MonkeyPatch) -> SimBoard:
 
 
 @pytest.fixture
-def swim(
+def trial(
     board: SimBoard, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Swim:
     def in_step(source: Any, tracker: Any, threaded: bool, on_picture: Any) -> VideoCamera:
@@ -135,8 +135,8 @@ def tank(tmp_path: Path) -> Callable[..., str]:
     return made
 
 
-def test_a_device_measures_the_swim(swim: Swim, tank: Callable[..., str]) -> None:
-    status, document, err = swim("--camera", "0", "--calibration", tank(), "--json")
+def test_a_device_measures_the_swim(trial: Swim, tank: Callable[..., str]) -> None:
+    status, document, err = trial("--camera", "0", "--calibration", tank(), "--json")
     assert (status, err, document["end"]) == (0, "", "complete")
     assert all(beat["speed_m_s"] is not None for beat in document["beats"])
     camera = document["camera"]
@@ -144,35 +144,37 @@ def test_a_device_measures_the_swim(swim: Swim, tank: Callable[..., str]) -> Non
     assert set(camera) == {"pictures", "seen", "dropped"}
 
 
-def test_in_words(swim: Swim, tank: Callable[..., str]) -> None:
-    status, text, err = swim("--camera", "0", "--calibration", tank())
+def test_in_words(trial: Swim, tank: Callable[..., str]) -> None:
+    status, text, err = trial("--camera", "0", "--calibration", tank())
     lines = text.splitlines()
     assert (status, err) == (0, "") and len(lines) == 2
     assert lines[0].startswith("trial 1, iteration 1: complete, 6 beats, max|e| ")
     assert lines[1].startswith("camera: ") and lines[1].count("pictures, the fish seen in") == 1
 
 
-def test_a_wall_stops_it(swim: Swim, tank: Callable[..., str]) -> None:
+def test_a_wall_stops_it(trial: Swim, tank: Callable[..., str]) -> None:
     near = tank(0.45)
-    status, document, err = swim("--camera", "0", "--calibration", near, "--json")
+    status, document, err = trial("--camera", "0", "--calibration", near, "--json")
     assert status == 1 and document["end"] == "aborted:WALL"
     assert err.count("tailbeat: stopped: wall: ") == 1
 
 
-def test_a_wall_that_is_switched_off(swim: Swim, tank: Callable[..., str]) -> None:
+def test_a_wall_that_is_switched_off(trial: Swim, tank: Callable[..., str]) -> None:
     words = ("--camera", "0", "--calibration", tank(0.45), "--wall", "0", "--json")
-    assert swim(*words)[1]["end"] == "complete"
+    assert trial(*words)[1]["end"] == "complete"
 
 
-def test_walls_for_the_simulator_s_own_positions(swim: Swim, tank: Callable[..., str]) -> None:
-    _, document, _ = swim("--calibration", tank(0.45), "--json")
+def test_walls_for_the_simulator_s_own_positions(trial: Swim, tank: Callable[..., str]) -> None:
+    _, document, _ = trial("--calibration", tank(0.45), "--json")
     assert document["end"] == "aborted:WALL" and "camera" not in document
 
 
-def test_the_film_holds_every_picture(swim: Swim, tank: Callable[..., str], tmp_path: Path) -> None:
+def test_the_film_holds_every_picture(
+    trial: Swim, tank: Callable[..., str], tmp_path: Path
+) -> None:
     path = tmp_path / "swim.mkv"
     words = ("--camera", "0", "--calibration", tank(), "--video", str(path), "--json")
-    _, document, _ = swim(*words)
+    _, document, _ = trial(*words)
     film = Film(path)
     count = 0
     while film.read() is not None:
@@ -182,14 +184,14 @@ def test_the_film_holds_every_picture(swim: Swim, tank: Callable[..., str], tmp_
 
 
 def test_a_device_pulled_out_in_mid_swim(
-    swim: Swim, tank: Callable[..., str], board: SimBoard, tmp_path: Path
+    trial: Swim, tank: Callable[..., str], board: SimBoard, tmp_path: Path
 ) -> None:
     def prepare(device: Device) -> None:
         device.fails_at_s = board.time_s + 4.0
 
     path = tmp_path / "swim.mkv"
     words = ("--camera", "0", "--calibration", tank(), "--wall", "0", "--video", str(path))
-    status, text, err = swim(*words, prepare=prepare)
+    status, text, err = trial(*words, prepare=prepare)
     assert status == 1 and "aborted:ABORT_COMMAND" in text
     assert "tailbeat: cam was unplugged. Plug it in. The trial has no camera any more.\n" in err
     film = Film(path)  # what was seen until then is kept
@@ -206,14 +208,14 @@ def led(monkeypatch: pytest.MonkeyPatch, start_s: float, trial: int = 1) -> None
 
 @pytest.mark.parametrize("late_s", [0.012, 0.085, -0.04])
 def test_the_led_tells_how_late_the_stamps_are(
-    swim: Swim,
+    trial: Swim,
     tank: Callable[..., str],
     board: SimBoard,
     monkeypatch: pytest.MonkeyPatch,
     late_s: float,
 ) -> None:
     words = ("--camera", "0", "--calibration", tank(), "--latency", "0.01", "--json")
-    assert swim(*words)[0] == 0
+    assert trial(*words)[0] == 0
     with Fish.connect("it") as fish:
         begun_s = fish.pull_trial(1, Path(tank()).parent)
         start_us = read_trial(begun_s).start_us
@@ -226,7 +228,7 @@ def test_the_led_tells_how_late_the_stamps_are(
 
     monkeypatch.setattr(Fish, "pull_trial", again)
     led(monkeypatch, start_us * 1e-6 + off_s + late_s, trial=2)
-    status, document, err = swim(*words)
+    status, document, err = trial(*words)
     assert status == 0
     assert document["camera"]["late_s"] == pytest.approx(late_s, abs=2e-3)
     assert document["camera"]["late_sigma_s"] == 0.004
@@ -239,10 +241,10 @@ def test_the_led_tells_how_late_the_stamps_are(
 
 
 def test_another_fish_s_led_says_nothing(
-    swim: Swim, tank: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+    trial: Swim, tank: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     led(monkeypatch, 0.0, trial=9)
-    status, document, err = swim("--camera", "0", "--calibration", tank(), "--json")
+    status, document, err = trial("--camera", "0", "--calibration", tank(), "--json")
     assert (status, err) == (0, "") and "late_s" not in document["camera"]
 
 
@@ -260,12 +262,12 @@ def test_another_fish_s_led_says_nothing(
     ],
 )
 def test_what_cannot_be_is_one_line_and_nothing_swims(
-    swim: Swim, tank: Callable[..., str], words: tuple[str, ...], told: str
+    trial: Swim, tank: Callable[..., str], words: tuple[str, ...], told: str
 ) -> None:
     real = {"OTHER": tank(size_px=(640, 480)), "NOWHERE": ""}
     if "NOWHERE" in words:
         real["NOWHERE"] = tank(None)
-    status, out, err = swim(*(real.get(word, word) for word in words))
+    status, out, err = trial(*(real.get(word, word) for word in words))
     assert status == 1 and not out
     assert err.startswith("tailbeat: ") and err.count("\n") == 1 and told in err
     with Fish.connect("it") as fish:
@@ -281,8 +283,8 @@ def test_what_cannot_be_is_one_line_and_nothing_swims(
         ("--wall", "-1"),
     ],
 )
-def test_senseless_options(swim: Swim, words: tuple[str, ...]) -> None:
-    status, _, err = swim(*words)
+def test_senseless_options(trial: Swim, words: tuple[str, ...]) -> None:
+    status, _, err = trial(*words)
     assert status == 2 and err.count("\n") == 1
 
 
@@ -307,8 +309,8 @@ def test_a_rendered_fish(
 
 
 def test_only_a_board_in_this_process_can_be_drawn(
-    swim: Swim, monkeypatch: pytest.MonkeyPatch
+    trial: Swim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Fish, "sim", None)
-    status, _, err = swim("--camera", "rendered")
+    status, _, err = trial("--camera", "rendered")
     assert status == 1 and "tailbeat sim" in err

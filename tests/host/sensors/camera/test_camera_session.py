@@ -41,11 +41,11 @@ def prepared(seed: int, reference: Reference, **overrides: float) -> Fish:
     return fish
 
 
-def last_errors(fish: Fish, reference: Reference, swim, trials: int) -> tuple[float, float]:
+def last_errors(fish: Fish, reference: Reference, trial, trials: int) -> tuple[float, float]:
     """Means of the true max|e| and RMS over the last half of the trials."""
     found = []
     for _ in range(trials):
-        number = swim(fish)
+        number = trial(fish)
         error = reference.speed_m_s - fish.sim.world.true_beats()
         found.append((np.abs(error).max(), np.sqrt(np.mean(error**2))))
         fish.learn(number)
@@ -61,17 +61,17 @@ def by_truth(fish: Fish) -> int:
 
 
 def live(scene: Scene):
-    def swim(fish: Fish) -> int:
+    def trial(fish: Fish) -> int:
         with drawn_camera(fish, scene) as camera:
             return run_trial(fish, camera).number
 
-    return swim
+    return trial
 
 
 def by_film(scene: Scene):
     """The thesis's own way: swim, look at the film, upload, learn."""
 
-    def swim(fish: Fish) -> int:
+    def trial(fish: Fish) -> int:
         fish.params.set("SPD_SOURCE", UPLOAD)
         recorded = swim_before_the_camera(fish, scene, patch=True)
         start_s = sync(recorded.track, recorded.trial).start_s
@@ -82,7 +82,7 @@ def by_film(scene: Scene):
         fish.upload_speeds(recorded.trial.number, speed, sigma)
         return recorded.trial.number
 
-    return swim
+    return trial
 
 
 def compared(reference: Reference, seeds: range, trials: int, ways) -> dict[str, float]:

@@ -110,9 +110,9 @@ def _agree(pictures: list[CameraFrame], begin_us: int, on: list[bool]) -> bool:
     shown = [True, *on]  # armed before
     changes = [n - 1 for n in range(1, len(shown)) if shown[n] != shown[n - 1]]
     edges_us = [0, *(begin_us + n * FRAME_US for n in changes)]
-    swim = [p for p in pictures if begin_us < p.time_s * 1e6 - 1e4 < begin_us + 5_900_000]
-    assert len(swim) > 130
-    return all(abs(p.led - lit_part(edges_us, p, EXPOSURE_S)) < 1e-9 for p in swim)
+    trial = [p for p in pictures if begin_us < p.time_s * 1e6 - 1e4 < begin_us + 5_900_000]
+    assert len(trial) > 130
+    return all(abs(p.led - lit_part(edges_us, p, EXPOSURE_S)) < 1e-9 for p in trial)
 
 
 def test_exposure_is_no_longer_than_a_picture_lasts() -> None:

@@ -61,7 +61,7 @@ def swim(fish: Fish, folder: Path, wanted: reference.Reference, **params: float)
     return read_trial(fish.pull_trial(outcome.number, folder))
 
 
-def swims(folder: Path, seeds: int, **params: float) -> Swims:
+def trials(folder: Path, seeds: int, **params: float) -> Swims:
     errors, sigmas = [], []
     for seed in range(1, seeds + 1):
         with Fish.connect("sim:tank", seed=seed) as fish:
@@ -76,7 +76,7 @@ def swims(folder: Path, seeds: int, **params: float) -> Swims:
 
 @pytest.mark.parametrize("seeds", SEEDS)
 def test_imu_between_two_rests(seeds: int, tmp_path: Path) -> None:
-    found = swims(tmp_path, seeds, SPD_SOURCE=IMU)
+    found = trials(tmp_path, seeds, SPD_SOURCE=IMU)
     print(f"imu: {found.text()}")
     found.assert_honest()
     assert found.mean_rms() <= 0.010
@@ -85,7 +85,7 @@ def test_imu_between_two_rests(seeds: int, tmp_path: Path) -> None:
 @pytest.mark.parametrize("seeds", SEEDS)
 @pytest.mark.parametrize("wrong", [0.6, 1.0, 1.4])
 def test_model_with_the_wrong_drag(wrong: float, seeds: int, tmp_path: Path) -> None:
-    found = swims(
+    found = trials(
         tmp_path,
         seeds // 4,
         SPD_SOURCE=MODEL,

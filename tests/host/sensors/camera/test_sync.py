@@ -69,7 +69,7 @@ def track_of(frames: list[Frame], fps: float) -> Track:
     return Track(t_s, *columns[1:], seen * 1.0, state, fps, "film.mp4")
 
 
-def swims(
+def trials(
     seed: int,
     count: int = 1,
     fps: float = 25.0,
@@ -107,7 +107,7 @@ def swims(
 @pytest.fixture(scope="module")
 def learned() -> list[Swim]:
     """Three trials of a learning fish."""
-    return swims(3, 3)
+    return trials(3, 3)
 
 
 def assert_honest(errors_s: list[float], sigmas_s: list[float], most_s: float, name: str) -> None:
@@ -217,35 +217,37 @@ def test_another_number_is_refused(learned: list[Swim]) -> None:
 
 def yaw_study(found: list[Swim], name: str) -> None:
     errors, sigmas = [], []
-    for swim in found:
-        result = sync_by_yaw(swim.track, swim.trial)
+    for trial in found:
+        result = sync_by_yaw(trial.track, trial.trial)
         assert result.how == "yaw"
         assert result.score > 0.9
-        errors.append(result.start_s - swim.start_s)
+        errors.append(result.start_s - trial.start_s)
         sigmas.append(result.sigma_s)
     assert_honest(errors, sigmas, YAW_MAX_S, name)
     assert abs(np.mean(errors)) <= YAW_BIAS_MAX_S
 
 
 def test_yaw_tells_the_begin(learned: list[Swim]) -> None:
-    yaw_study(learned + swims(4, fps=60.0), "yaw")
+    yaw_study(learned + trials(4, fps=60.0), "yaw")
 
 
 def test_yaw_of_part_of_a_film(learned: list[Swim]) -> None:
-    swim = learned[2]
+    trial = learned[2]
     for first, last in ((10.0, 60.0), (0.0, 30.0), (12.0, 32.0)):
-        inside = (swim.track.t_s >= first) & (swim.track.t_s < last)
+        inside = (trial.track.t_s >= first) & (trial.track.t_s < last)
         columns = ("t_s", "x_m", "y_m", "heading_rad", "quality", "state")
-        part = replace(swim.track, **{name: getattr(swim.track, name)[inside] for name in columns})
-        assert abs(sync_by_yaw(part, swim.trial).start_s - swim.start_s) <= YAW_MAX_S
+        part = replace(
+            trial.track, **{name: getattr(trial.track, name)[inside] for name in columns}
+        )
+        assert abs(sync_by_yaw(part, trial.trial).start_s - trial.start_s) <= YAW_MAX_S
 
 
 def test_yaw_bears_drift_and_a_few_wrong_headings(learned: list[Swim]) -> None:
-    swim = learned[1]
-    drift = 0.3 * np.sin(swim.track.t_s / 9) + 0.02 * swim.track.t_s
+    trial = learned[1]
+    drift = 0.3 * np.sin(trial.track.t_s / 9) + 0.02 * trial.track.t_s
     drift += np.where(np.arange(len(drift)) % 40 == 7, 0.8, 0.0)
-    track = replace(swim.track, heading_rad=swim.track.heading_rad + drift)
-    assert abs(sync_by_yaw(track, swim.trial).start_s - swim.start_s) <= YAW_MAX_S
+    track = replace(trial.track, heading_rad=trial.track.heading_rad + drift)
+    assert abs(sync_by_yaw(track, trial.trial).start_s - trial.start_s) <= YAW_MAX_S
 
 
 def test_yaw_of_another_trial_is_refused(learned: list[Swim]) -> None:
@@ -259,43 +261,43 @@ def test_yaw_of_another_trial_is_refused(learned: list[Swim]) -> None:
 def test_equal_beats_tell_no_beat() -> None:
     """A cruise, of which the film shows the middle."""
     wanted = reference.Reference(1.0, np.full(20, 0.05, dtype=np.float32), "cruise")
-    swim = swims(5, amplitudes=[np.full(20, 0.5)], wanted=wanted)[0]
-    whole = sync_by_yaw(swim.track, swim.trial)
-    assert abs(whole.start_s - swim.start_s) <= YAW_MAX_S
-    middle = (swim.track.t_s > swim.start_s + 5) & (swim.track.t_s < swim.start_s + 14)
+    trial = trials(5, amplitudes=[np.full(20, 0.5)], wanted=wanted)[0]
+    whole = sync_by_yaw(trial.track, trial.trial)
+    assert abs(whole.start_s - trial.start_s) <= YAW_MAX_S
+    middle = (trial.track.t_s > trial.start_s + 5) & (trial.track.t_s < trial.start_s + 14)
     columns = ("t_s", "x_m", "y_m", "heading_rad", "quality", "state")
-    part = replace(swim.track, **{name: getattr(swim.track, name)[middle] for name in columns})
+    part = replace(trial.track, **{name: getattr(trial.track, name)[middle] for name in columns})
     with pytest.raises(WrongPair, match="another beat"):
-        sync_by_yaw(part, swim.trial)
+        sync_by_yaw(part, trial.trial)
 
 
 def test_a_file_without_turns_or_a_film_without_yaw(learned: list[Swim]) -> None:
-    swim = learned[0]
-    none = np.full_like(swim.trial.slots.turn_100urad, NO_MOTION)
-    blind = replace(swim.trial, slots=replace(swim.trial.slots, turn_100urad=none))
+    trial = learned[0]
+    none = np.full_like(trial.trial.slots.turn_100urad, NO_MOTION)
+    blind = replace(trial.trial, slots=replace(trial.trial.slots, turn_100urad=none))
     with pytest.raises(InputError, match="does not say how the fish turned") as error:
-        sync_by_yaw(swim.track, blind)
+        sync_by_yaw(trial.track, blind)
     assert not isinstance(error.value, WrongPair)
-    noise = np.random.default_rng(1).normal(0, 0.01, len(swim.track.t_s))
-    still = replace(swim.track, heading_rad=np.where(swim.track.seen(), noise, np.nan))
+    noise = np.random.default_rng(1).normal(0, 0.01, len(trial.track.t_s))
+    still = replace(trial.track, heading_rad=np.where(trial.track.seen(), noise, np.nan))
     with pytest.raises(InputError, match="no yaw oscillation") as error:
-        sync_by_yaw(still, swim.trial)
+        sync_by_yaw(still, trial.trial)
     assert not isinstance(error.value, WrongPair)
     with pytest.raises(InputError, match=r"nobody looked for the LED.* does not say how"):
-        sync(swim.track, blind)
+        sync(trial.track, blind)
 
 
 def test_headings_that_are_all_equal(learned: list[Swim]) -> None:
     """Frozen pictures, a fish that is held, a drawn film."""
-    swim = learned[0]
+    trial = learned[0]
     for heading_rad in (0.0, 0.3):
-        heading = np.where(swim.track.seen(), heading_rad, np.nan)
+        heading = np.where(trial.track.seen(), heading_rad, np.nan)
         with pytest.raises(InputError, match="shows no yaw oscillation") as error:
-            sync_by_yaw(replace(swim.track, heading_rad=heading), swim.trial)
+            sync_by_yaw(replace(trial.track, heading_rad=heading), trial.trial)
         assert not isinstance(error.value, WrongPair)
         heading[:75] += 0.02 * np.sin(np.arange(75))
         with pytest.raises(InputError):
-            sync_by_yaw(replace(swim.track, heading_rad=heading), swim.trial)
+            sync_by_yaw(replace(trial.track, heading_rad=heading), trial.trial)
 
 
 def test_a_trial_that_was_aborted_early(learned: list[Swim]) -> None:
@@ -312,31 +314,31 @@ def test_a_trial_that_was_aborted_early(learned: list[Swim]) -> None:
         sync(track, replace(short, executed_beats=1))
 
 
-def with_led(swim: Swim, late_s: float = 0.0, number: int | None = None) -> Track:
+def with_led(trial: Swim, late_s: float = 0.0, number: int | None = None) -> Track:
     """The same film with an LED in it."""
-    number = swim.trial.number if number is None else number
+    number = trial.trial.number if number is None else number
     film = LedFilm(number=number, lost=0.0, hidden=0.2, before_s=0.0)
-    track, start_s = replace(film, swim_s=swim.trial.executed_beats * 1.0).make(1)
-    row = np.round((swim.track.t_s - swim.start_s - late_s + start_s) * film.fps).astype(int)
+    track, start_s = replace(film, swim_s=trial.trial.executed_beats * 1.0).make(1)
+    row = np.round((trial.track.t_s - trial.start_s - late_s + start_s) * film.fps).astype(int)
     inside = (row >= 0) & (row < len(track.t_s))
     assert track.patch is not None
-    patch = np.zeros((len(swim.track.t_s), *track.patch.shape[1:]), np.uint8)
+    patch = np.zeros((len(trial.track.t_s), *track.patch.shape[1:]), np.uint8)
     around = np.s_[2:11, 17:38]  # the rest takes time only
     patch[inside, *around] = track.patch[row[inside], *around]
-    return replace(swim.track, patch=patch)
+    return replace(trial.track, patch=patch)
 
 
 def test_both_ways_must_agree(learned: list[Swim]) -> None:
-    swim = learned[1]
-    found = sync(with_led(swim), swim.trial)
+    trial = learned[1]
+    found = sync(with_led(trial), trial.trial)
     assert found.how == "led"
-    assert abs(found.start_s - swim.start_s) <= 0.03  # its pictures are up to half a period off
-    assert sync(swim.track, swim.trial).how == "yaw"
+    assert abs(found.start_s - trial.start_s) <= 0.03  # its pictures are up to half a period off
+    assert sync(trial.track, trial.trial).how == "yaw"
     with pytest.raises(WrongPair, match="the LED says"):
-        sync(with_led(swim, late_s=0.4), swim.trial)
-    other = replace(learned[2].trial, number=swim.trial.number)
+        sync(with_led(trial, late_s=0.4), trial.trial)
+    other = replace(learned[2].trial, number=trial.trial.number)
     with pytest.raises(WrongPair, match="is of another trial"):
-        sync(with_led(swim), other)
+        sync(with_led(trial), other)
 
 
 def by_amplitude(film: Swim, file: Swim) -> float:
@@ -352,7 +354,7 @@ def test_right_and_wrong_pairs_by_the_hundred(fps: float) -> None:
     right: list[Swim] = []
     accepted: dict[bool, list[tuple[float, bool]]] = {True: [], False: []}
     for seed in range(1, 21):
-        found = swims(seed, 5, fps)
+        found = trials(seed, 5, fps)
         right += found
         for film in found:
             for file in found:

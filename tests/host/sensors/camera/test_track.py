@@ -65,7 +65,7 @@ class Source:
         pass
 
 
-def swims(t_s: float) -> Frame:
+def trials(t_s: float) -> Frame:
     """Turns to the right all the time, so that its heading wraps."""
     return Frame(t_s, 0.08 * t_s, 0.01 * t_s, math.remainder(2.5 * t_s, 2 * math.pi))
 
@@ -74,7 +74,9 @@ def place(index: int, t_s: float, seen: bool = True, patch: int | None = None) -
     if not seen:
         return TrackedImage(index, t_s, None, None, None)
     patch = None if patch is None else np.full(PATCH_SHAPE, patch, np.uint8)
-    return TrackedImage(index, t_s, swims(t_s), Detection((1.0, 1.0), (2.0, 1.0), 3.0, 0.75), patch)
+    return TrackedImage(
+        index, t_s, trials(t_s), Detection((1.0, 1.0), (2.0, 1.0), 3.0, 0.75), patch
+    )
 
 
 def places(times_s: list[float], unseen: Set[int] = frozenset()) -> list[TrackedImage]:
@@ -357,7 +359,7 @@ def drawn(path: Path, seen: list[bool]) -> list[TimedImage]:
             detection = Detection(
                 (50 + down[0], 50 + down[1]), (60 + down[0], 50 + down[1]), 20, 0.5, CORNERS + down
             )
-            where = TrackedImage(index, t_s, swims(t_s), detection, None)
+            where = TrackedImage(index, t_s, trials(t_s), detection, None)
             gone = TrackedImage(index, t_s, None, None, None)
             overlay(TimedImage(index, t_s, image), where if there else gone)
             assert (image == GREY).all()  # the picture is its holder's
@@ -402,7 +404,7 @@ def test_overlay_of_a_blob(tmp_path: Path) -> None:
     blob = Detection((150.0, 120.0), (190.0, 120.0), 30.0, 0.5)
     with Overlay(path, (320, 240), 25) as overlay:
         picture = TimedImage(0, 0.0, np.full((240, 320), GREY, np.uint8))
-        overlay(picture, TrackedImage(0, 0.0, swims(0.0), blob, None))
+        overlay(picture, TrackedImage(0, 0.0, trials(0.0), blob, None))
     first = in_colour(path)[0]
     for u, v in ((190, 105), (190, 135), (110, 105), (110, 135)):
         assert coloured(first, u, v, GREEN)

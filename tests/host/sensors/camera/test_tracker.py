@@ -42,10 +42,10 @@ def painter(scene: Scene) -> Painter:
 
 def recorded(t_s: float) -> DrawnPose:
     """Rests half a second, then swims at 0.1 m/s, heading and tail wagging once a second."""
-    swims = t_s >= 0.5
-    wag = math.sin(2 * math.pi * (t_s - 0.5)) if swims else 0.0
-    x_m = 0.1 * (t_s - 0.5) if swims else 0.0
-    return DrawnPose(t_s, x_m, 0.05, 0.1 * wag, 0.5 * wag, 0.0, 0.1 * swims)
+    trials = t_s >= 0.5
+    wag = math.sin(2 * math.pi * (t_s - 0.5)) if trials else 0.0
+    x_m = 0.1 * (t_s - 0.5) if trials else 0.0
+    return DrawnPose(t_s, x_m, 0.05, 0.1 * wag, 0.5 * wag, 0.0, 0.1 * trials)
 
 
 def film(

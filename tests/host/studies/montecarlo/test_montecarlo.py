@@ -446,12 +446,12 @@ def test_one_that_fails_leaves_the_others_of_its_cell_as_they_are(
     """Fish 2 of a chunk of two; fish 1 has the very rows it has otherwise."""
     cell = cells(tiny)[0]
     whole = run_cell(tiny, cell).to_pylist()
-    swim = cell_module._trials
+    trial = cell_module._trials
 
     def fails(recipe: Recipe, cell: Cell, phases: cell_module.Phases) -> pa.Table:
         if 2 in cell.seeds:
             raise ValueError("array must not contain infs or NaNs")
-        return swim(recipe, cell, phases)
+        return trial(recipe, cell, phases)
 
     monkeypatch.setattr(cell_module, "_trials", fails)
     rows = run_cell(tiny, cell).to_pylist()

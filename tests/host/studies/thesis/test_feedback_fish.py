@@ -69,7 +69,7 @@ def coast(speed: float, push: float, period: float) -> float:
     return speed
 
 
-def swim(rate_hz: float, gain: float, regressor: Regressor) -> Outcome:
+def trial(rate_hz: float, gain: float, regressor: Regressor) -> Outcome:
     law, samples = Scalar(gain, 0.5), round(TRIAL_S * rate_hz)
     bank, errors = [0.0] * (samples + 1), []
     for _ in range(TRIALS):
@@ -96,26 +96,26 @@ def bound(speed: float, error: float, law: Scalar) -> float:
 
 
 def test_in_si_units_the_adaptive_law_learns_nothing() -> None:
-    found = swim(25, 1.0, drag)
+    found = trial(25, 1.0, drag)
     assert found.errors[-1] == pytest.approx(found.errors[0], rel=0.01)
     assert -1e-3 < found.middle < 0.0
 
 
 def test_with_a_gain_it_learns_the_drag() -> None:
-    found = swim(25, 1e5, drag)
+    found = trial(25, 1e5, drag)
     assert found.middle == pytest.approx(-DRAG_PER_M, rel=0.01)
     assert found.errors[-1] < 0.4 * found.errors[0]
-    assert swim(25, 1e6, drag).errors[-1] < 0.2 * found.errors[0]
+    assert trial(25, 1e6, drag).errors[-1] < 0.2 * found.errors[0]
 
 
 @pytest.mark.parametrize("rate_hz", [5, 1])
 def test_too_much_gain_for_the_rate_destabilises(rate_hz: float) -> None:
     """q f^2 times the period must stay below 1; 1e6 * 0.06^4 is 13 per second."""
-    found = swim(rate_hz, 1e6, drag)
+    found = trial(rate_hz, 1e6, drag)
     assert found.errors[-1] > found.errors[0]
 
 
 def test_in_si_units_the_robust_law_learns_nothing() -> None:
-    found = swim(25, 1.0, bound)
+    found = trial(25, 1.0, bound)
     assert found.errors[-1] == pytest.approx(found.errors[0], rel=0.01)
     assert 0.0 <= found.middle < 1e-3
