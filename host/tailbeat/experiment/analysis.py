@@ -25,9 +25,10 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.files import canonical, plain, write_whole
 from tailbeat.core.records import decode_reference
 from tailbeat.core.reference import Reference
-from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.folder import JUDGING, Experiment
 from tailbeat.experiment.journal import told_of
+from tailbeat.experiment.store import Kept, read_kept
 from tailbeat.experiment.trial_rows import TrialRow, noise_of, rows_of, with_noise
 from tailbeat.learning.convergence import best_of, score_of
 from tailbeat.learning.error_bound import error_bound
@@ -135,14 +136,14 @@ def analyse(experiment: Experiment) -> Analysis:
     InputError: no trials."""
     settings = experiment.settings()
     problems = experiment.raw_problems()
-    files, trials, names = _sound_trials(experiment, problems)
+    sound, names = _sound_trials(experiment, problems)
     identified = _identified(experiment, problems)
-    held, crc = _reference(experiment, trials)
+    held, crc = _reference(experiment, [kept.trial for kept in sound])
     told = told_of(experiment.journal.entries(), names)
     kept = [
-        (path, trial)
-        for path, trial in zip(files, trials, strict=True)
-        if _is_of(trial, crc, path.name, identified, problems)
+        (one.path, one.trial)
+        for one in sound
+        if _is_of(one.trial, crc, one.path.name, identified, problems)
     ]
     if not kept:
         raise InputError(
@@ -221,47 +222,15 @@ def _because(problems: Sequence[str]) -> str:
     return f" that can be read ({problems[0]})" if problems else ""
 
 
-def _sound_trials(
-    experiment: Experiment, problems: list[str]
-) -> tuple[list[Path], list[Trial], dict[str, str]]:
-    """Files, trials, and for each raw file the name of its trial's. Files that were tampered with
-    are no data any more."""
-    names: dict[str, str] = {}
-    files, trials = [], []
-    for path, held in _longest(experiment):
-        names |= dict.fromkeys(held, path.name)
-        try:
-            trial = read_trial(path)
-        except InputError as error:
-            problems.append(str(error))
-            continue
-        problems += [f"{path.name}: {problem}" for problem in trial.problems]
-        files.append(path)
-        trials.append(trial)
-    return files, trials, names
-
-
-def _longest(experiment: Experiment) -> list[tuple[Path, list[str]]]:
-    """Of each trial its longest file, and the names of all: a log grows when speeds come later, and
-    is kept again. It stays in the place of the first."""
-    bad = set(experiment.damaged())
-    found: list[tuple[Path, list[str]]] = []
-    contents: list[bytes] = []
-    for path in experiment.trial_files():
-        if path.name in bad:
-            continue
-        content = path.read_bytes()
-        for at, other in enumerate(contents):
-            if content.startswith(other) or other.startswith(content):
-                held = [*found[at][1], path.name]
-                longer = len(content) > len(other)
-                found[at] = (path if longer else found[at][0], held)
-                contents[at] = content if longer else other
-                break
-        else:
-            found.append((path, [path.name]))
-            contents.append(content)
-    return found
+def _sound_trials(experiment: Experiment, problems: list[str]) -> tuple[list[Kept], dict[str, str]]:
+    """The trials, and for each raw file the name of its trial's. Files that were tampered with are
+    no data any more."""
+    damaged = set(experiment.damaged())
+    files = [path for path in experiment.trial_files() if path.name not in damaged]
+    found, unread = read_kept(files)
+    problems += unread
+    problems += [f"{kept.path.name}: {line}" for kept in found for line in kept.trial.problems]
+    return found, {name: kept.path.name for kept in found for name in kept.names}
 
 
 def _identified(experiment: Experiment, problems: list[str]) -> Identified | None:

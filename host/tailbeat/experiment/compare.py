@@ -8,22 +8,19 @@ which is exact for normal scatter also with few trials.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import TYPE_CHECKING
+from functools import partial
+from statistics import fmean
 
 import numpy as np
 
-from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.experiment.analysis import Analysis
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.trial_rows import TrialRow
+from tailbeat.experiment.trial_rows import TrialRow, student_t
 from tailbeat.learning.convergence import assess_all, best_of, score_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
 
 WHAT = {"max": "max_abs_error_m_s", "rms": "rms_error_m_s"}
 _SETTINGS = ("fish", "law", "configuration", "operator", "unique_id", "firmware", "simulated")
@@ -32,10 +29,6 @@ _POWER = 0.8
 _SWIMS_MIN = 2
 _REPEATS_MIN = 3
 _REPEATS_MAX = 1000
-_NODES = 400  # within 2e-8 of scipy's where that gives a number
-_LARGE_T = 8.0
-_NEGLIGIBLE = 1e-16
-_WIDE_SIGMAS = 9.0
 
 
 @dataclass(frozen=True)
@@ -75,13 +68,8 @@ class Counted:
 
 
 def counted(analysis: Analysis, iterations: Sequence[int] | None = None) -> list[float]:
-    """max|e| of ``counted_rows``."""
-    return [row.max_abs_error_m_s for row in counted_rows(analysis, iterations)]
-
-
-def counted_rows(analysis: Analysis, iterations: Sequence[int] | None = None) -> list[TrialRow]:
-    """The trials of ``count``."""
-    return count(analysis, iterations).rows
+    """max|e| of the trials of ``count``."""
+    return [row.max_abs_error_m_s for row in count(analysis, iterations).rows]
 
 
 def count(analysis: Analysis, iterations: Sequence[int] | None = None) -> Counted:
@@ -180,9 +168,9 @@ def _compared(
 
 def welch(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
     """(mean of b less mean of a, its 95 % interval, two-sided p); both of two values or more."""
-    from scipy.special import stdtr, stdtrit
+    from scipy.special import stdtr
 
-    difference = _mean(b) - _mean(a)
+    difference = fmean(b) - fmean(a)
     parts = [_squares(side) / (len(side) - 1) / len(side) for side in (a, b)]
     error = math.sqrt(sum(parts))
     if error == 0:
@@ -190,18 +178,14 @@ def welch(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, 
     freedom = sum(parts) ** 2 / sum(
         part**2 / (len(side) - 1) for part, side in zip(parts, (a, b), strict=True)
     )
-    half = error * float(stdtrit(freedom, (1 + _LEVEL) / 2))
+    half = error * student_t(freedom)
     p = 2 * float(stdtr(freedom, -abs(difference) / error))
     return difference, difference - half, difference + half, p
 
 
-def _mean(values: Sequence[float]) -> float:
-    return math.fsum(values) / len(values)
-
-
 def _squares(values: Sequence[float]) -> float:
     """Of the deviations from their mean, added up."""
-    mean = _mean(values)
+    mean = fmean(values)
     return math.fsum((value - mean) ** 2 for value in values)
 
 
@@ -209,7 +193,7 @@ def hedges(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float]
     """(g, 95 % interval of the true effect): b less a over the pooled standard deviation."""
     freedom = len(a) + len(b) - 2
     squares = sum(_squares(side) for side in (a, b))
-    difference = _mean(b) - _mean(a)
+    difference = fmean(b) - fmean(a)
     if squares == 0:
         value = math.copysign(math.inf, difference) if difference else 0.0
         return value, value, value
@@ -244,47 +228,11 @@ def _noncentrality(t_seen: float, freedom: int, level: float) -> float:
 
 
 def noncentral_t(limit: float, freedom: int, shift: float) -> float:
-    """P(T <= limit) of T = (Z + shift) / S, Z normal, S the root of chi-squared over ``freedom``.
+    """P(T <= limit) of T = (Z + shift) / S, S the root of chi-squared over ``freedom``."""
+    from scipy.special import nctdtr
 
-    By an integral over S, or where ``limit`` is large over Z, as the other factor is smooth then.
-    (scipy 1.17's nct gives NaN far out.)
-    """
-    from scipy.special import gammainccinv, gammaincinv, gammaln, log_ndtr
-
-    if abs(limit) > _LARGE_T:
-        return _over_normal(limit, freedom, shift)
-    half = freedom / 2
-    ends = [
-        math.sqrt(float(inverse(half, _NEGLIGIBLE)) / half)
-        for inverse in (gammaincinv, gammainccinv)
-    ]
-    s, weights = _nodes(ends[0], ends[1])
-    density = (freedom - 1) * np.log(s) - half * s**2 + half * math.log(half) - gammaln(half)
-    return float(np.sum(weights * 2 * np.exp(density + log_ndtr(limit * s - shift))))
-
-
-def _over_normal(limit: float, freedom: int, shift: float) -> float:
-    """P(S >= (Z + shift) / limit) for a limit above 0; the mirror image below."""
-    from scipy.special import gammaincc
-
-    if limit < 0:
-        return 1 - _over_normal(-limit, freedom, -shift)
-    z, weights = _nodes(-_WIDE_SIGMAS, _WIDE_SIGMAS)
-    s = np.maximum(z + shift, 0.0) / limit
-    beyond = gammaincc(freedom / 2, freedom / 2 * s**2)
-    return float(np.sum(weights * np.exp(-(z**2) / 2) * beyond)) / math.sqrt(2 * math.pi)
-
-
-@cache
-def _legendre() -> tuple[F64, F64]:
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    return nodes, weights
-
-
-def _nodes(low: float, high: float) -> tuple[F64, F64]:
-    """Of an integral from low to high."""
-    nodes, weights = _legendre()
-    return (low + high) / 2 + (high - low) / 2 * nodes, (high - low) / 2 * weights
+    found = float(nctdtr(freedom, shift, limit))
+    return float(limit > shift) if math.isnan(found) else found  # far out scipy has no number
 
 
 def repeats_needed(g: float) -> int | None:
@@ -292,24 +240,15 @@ def repeats_needed(g: float) -> int | None:
     more than 1000."""
     if math.isinf(g):
         return _SWIMS_MIN
-    if math.isnan(g) or power(g, _REPEATS_MAX) < _POWER:
-        return None
-    low, high = _SWIMS_MIN - 1, _REPEATS_MAX
-    while high - low > 1:  # low is too few, high enough
-        middle = (low + high) // 2
-        if power(g, middle) < _POWER:
-            low = middle
-        else:
-            high = middle
-    return high
+    counts = range(_SWIMS_MIN, _REPEATS_MAX + 1)
+    at = len(counts) if math.isnan(g) else bisect_left(counts, _POWER, key=partial(power, g))
+    return counts[at] if at < len(counts) else None
 
 
 def power(g: float, trials: int) -> float:
     """How often ``trials`` on each side show a true effect ``g``."""
-    from scipy.special import stdtrit
-
     freedom = 2 * trials - 2
-    limit = float(stdtrit(freedom, (1 + _LEVEL) / 2))
+    limit = student_t(freedom)
     shift = abs(g) * math.sqrt(trials / 2)
     return 1 - noncentral_t(limit, freedom, shift) + noncentral_t(-limit, freedom, shift)
 

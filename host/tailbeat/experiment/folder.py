@@ -10,13 +10,12 @@ One program at a time swims in an experiment; the system lets go when that progr
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import re
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -25,31 +24,24 @@ from typing import Any
 
 from tailbeat.board.flash.backup import BackupPlaces
 from tailbeat.core.errors import InputError, TailbeatError, reason
-from tailbeat.core.files import MAKE_ROOM, TEMPORARY, write_whole
-from tailbeat.core.locks import WRITE_LOCK, locked, try_lock
+from tailbeat.core.files import MAKE_ROOM, write_whole
+from tailbeat.core.locks import WRITE_LOCK, try_lock
 from tailbeat.core.param_names import of_document
-from tailbeat.core.trial_file import Trial, parse_trial, read_trial
-from tailbeat.experiment.journal import Journal
+from tailbeat.experiment.store import JOURNAL, MAKE_ROOM_AGAIN, RAW, RawFiles
 
 _SETTINGS = "settings.json"
 
 JUDGING = 2  # in settings: trials are judged on their measured beats; older folders have none
 _NOTES = "notes.md"
-_JOURNAL = "journal.jsonl"
-_RAW = "raw"
 _EXPORT = "export"
-_SUMS = "SHA256SUMS"
 _MADE_FOLDERS = ("board", "report")
 _MADE_FILES = (
     "report.html", "report.png", "analysis.json", "redo.md", "reference.csv", ".lock", WRITE_LOCK,
 )  # fmt: skip
-_TAKEN_MAX = 1000
-_MAKE_ROOM = "Make room on this computer and do it again; what is on the board stays there."
-_DIGEST_DIGITS = 64
 
 
 @dataclass(frozen=True)
-class Experiment:
+class Experiment(RawFiles):
     """A series of trials on disk.
 
     Attributes
@@ -57,8 +49,6 @@ class Experiment:
     folder : Path
         Its folder, with ``settings.json``, ``raw/``, ``journal.jsonl`` and ``notes.md``.
     """
-
-    folder: Path
 
     @classmethod
     def new(
@@ -136,7 +126,7 @@ class Experiment:
     def _fill(
         cls, folder: Path, fish: str, reference: str, law: str, now: datetime | None
     ) -> Experiment:
-        (folder / _RAW).mkdir(exist_ok=True)
+        (folder / RAW).mkdir(exist_ok=True)
         experiment = cls(folder)
         made = (now or datetime.now()).astimezone().isoformat(timespec="seconds")
         experiment.write_settings(
@@ -208,11 +198,6 @@ class Experiment:
         return str(settings.get("name", older))
 
     @property
-    def raw(self) -> Path:
-        """Where the untouched files lie."""
-        return self.folder / _RAW
-
-    @property
     def export_folder(self) -> Path:
         """Where exports go."""
         return self.folder / _EXPORT
@@ -242,11 +227,6 @@ class Experiment:
             )
         return folder
 
-    @property
-    def journal(self) -> Journal:
-        """What happened, in order; folders of older tools have an empty one."""
-        return Journal(self.folder / _JOURNAL)
-
     def settings(self) -> dict[str, Any]:
         """What was set when the trials were executed."""
         path = self.folder / _SETTINGS
@@ -274,7 +254,7 @@ class Experiment:
         with self.changing():
             old = self.settings() if (self.folder / _SETTINGS).exists() else {}
             text = json.dumps(old | values, indent=2) + "\n"
-            write_whole(self.folder / _SETTINGS, text, _MAKE_ROOM)
+            write_whole(self.folder / _SETTINGS, text, MAKE_ROOM_AGAIN)
 
     def note(self, text: str, now: datetime | None = None) -> None:
         """Add a line with the time to the notes, and to the journal.
@@ -297,201 +277,17 @@ class Experiment:
         path = self.folder / _NOTES
         with self.changing():
             old = path.read_text(encoding="utf-8") if path.exists() else f"# {self.name}\n"
-            write_whole(path, f"{old}\n- **{stamp}** {text.strip()}\n", _MAKE_ROOM)
+            write_whole(path, f"{old}\n- **{stamp}** {text.strip()}\n", MAKE_ROOM_AGAIN)
 
     def notes(self) -> str:
         """All notes, Markdown."""
         return (self.folder / _NOTES).read_text(encoding="utf-8")
 
-    def add_raw(self, name: str, content: bytes) -> Path:
-        """Keep content unchanged for ever, lasting on the disk when it returns.
-
-        Parameters
-        ----------
-        name : str
-            File name in ``raw/``.
-        content : bytes
-            The same content again does nothing.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        InputError
-            Another content has this name, or the disk is full.
-        """
-        with self.changing():
-            return self._add_raw(name, content)
-
-    def _add_raw(self, name: str, content: bytes) -> Path:
-        path = self.raw / name
-        digest = hashlib.sha256(content).hexdigest()
-        if path.exists():
-            if _digest_of(path) == digest:
-                self._list_sum(digest, name)  # an earlier call may have ended before it did
-                return path
-            raise InputError(
-                f"{path} is there already with other content.",
-                "Raw files are never overwritten; start a new experiment.",
-            )
-        write_whole(path, content, _MAKE_ROOM)
-        path.chmod(0o444)
-        self._list_sum(digest, name)
-        return path
-
-    def keep_raw(self, name: str, content: bytes) -> Path:
-        """Keep content as ``add_raw`` does, under the next free name.
-
-        Parameters
-        ----------
-        name : str
-            ``NAME-2.EXT`` is used where it is taken by another content.
-        content : bytes
-            What a file already holds, or holds the beginning of, is not kept again.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        InputError
-            999 names are taken, or the disk is full.
-        """
-        stem, dot, ending = name.partition(".")
-        with self.changing():
-            for number in range(1, _TAKEN_MAX):
-                path = self.raw / (name if number == 1 else f"{stem}-{number}{dot}{ending}")
-                if not path.exists():
-                    return self._add_raw(path.name, content)
-                held = path.read_bytes()
-                if held.startswith(content):
-                    return self._add_raw(path.name, held)
-        raise InputError(f"{self.raw} is full of {name}.", "Start a new experiment.")
-
-    def keep_trial(self, path: Path) -> Path:
-        """Copy a trial's file into the raw files, named by the number in it.
-
-        Parameters
-        ----------
-        path : Path
-            A trial file. Another trial with a number that is taken (the board began again) becomes
-            ``NNNN-2.ulg``.
-
-        Returns
-        -------
-        Path
-            The copy.
-
-        Raises
-        ------
-        InputError
-            It is no trial file, or the disk is full.
-        """
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise InputError(
-                f"cannot read {path} ({reason(error)}).", "Pull the trial again."
-            ) from error
-        return self.keep_raw(f"{parse_trial(content, path.name).number:04d}.ulg", content)
-
-    def sums(self) -> dict[str, str]:
-        """SHA-256 of every raw file by name, in the order they were added.
-
-        A line torn by the end of power says nothing.
-        """
-        try:
-            text = (self.raw / _SUMS).read_text(encoding="utf-8", errors="replace")
-        except FileNotFoundError:
-            return {}
-        found = {}
-        for line in text.splitlines():
-            digest, _, name = line.partition("  ")
-            if len(digest) == _DIGEST_DIGITS and name:
-                found[name] = digest
-        return found
-
-    def _list_sum(self, digest: str, name: str) -> None:
-        listed = self.sums()
-        if listed.get(name) == digest:
-            return
-        if name in listed:
-            raise InputError(
-                f"{self.raw / name} is not what {_SUMS} says it was.",
-                f"Put the right file back, or start a new experiment; {_SUMS} is never changed.",
-            )
-        lines = [f"{sha}  {other}\n" for other, sha in listed.items()]
-        write_whole(self.raw / _SUMS, "".join([*lines, f"{digest}  {name}\n"]), _MAKE_ROOM)
-
-    def damaged(self) -> list[str]:
-        """Names of raw files that are missing or differ from what was added."""
-        return [
-            name for name, digest in self.sums().items() if _digest_of(self.raw / name) != digest
-        ]
-
-    def unlisted(self) -> list[str]:
-        """Names of raw files that nobody added through this tool (or the power went just then)."""
-        known = {*self.sums(), _SUMS}
-        there = sorted(path.name for path in self.raw.glob("*") if path.is_file())
-        return [name for name in there if name not in known and not name.endswith(TEMPORARY)]
-
-    def raw_problems(self) -> list[str]:
-        """One line for each raw file that cannot be trusted; none = all is as it came."""
-        missing = "is missing"
-        changed = "is not what it was when it was added"
-        lines = [
-            f"raw/{name} {changed if (self.raw / name).exists() else missing}"
-            for name in self.damaged()
-        ]
-        lines += [f"raw/{name} is not listed in {_SUMS}" for name in self.unlisted()]
-        return lines + [
-            f"raw/{name} is in the journal and not in the folder" for name in self._gone()
-        ]
-
-    def _gone(self) -> list[str]:
-        """Swims that the journal tells of, whose files nobody lists any more."""
-        told = {Path(str(entry.get("file") or "")).name for entry in self.journal.entries("swum")}
-        unlisted = told - set(self.sums())
-        return sorted(name for name in unlisted if name and not (self.raw / name).exists())
-
-    def trial_files(self) -> list[Path]:
-        """Every trial's file, in the order of the trials.
-
-        By the journal, else by number, or by when they were added where numbers came twice.
-        """
-        return _in_order(
-            {path.name: path for path in self.raw.glob("*.ulg")},
-            [str(entry.get("file", "")) for entry in self.journal.entries("swum")],
-            list(self.sums()),
-        )
-
-    def trials(self) -> list[Trial]:
-        """Every trial of the series, in order."""
-        return [read_trial(path) for path in self.trial_files()]
-
-    @contextlib.contextmanager
-    def changing(self) -> Iterator[None]:
-        """For a file that is read, changed and written again: one process and thread at a time.
-        Raises InputError."""
-        with contextlib.ExitStack() as held:
-            try:
-                held.enter_context(locked(self.folder))
-            except OSError as error:
-                raise InputError(
-                    f"cannot write into {self.folder} ({reason(error)}).", MAKE_ROOM
-                ) from error
-            yield
-
     def clear(self) -> None:
         """Deletes what belongs to the experiment, raw files too; other files in its folder stay."""
-        for name in (_RAW, _EXPORT, *_MADE_FOLDERS):
+        for name in (RAW, _EXPORT, *_MADE_FOLDERS):
             shutil.rmtree(self.folder / name, ignore_errors=True)
-        for name in (_SETTINGS, _NOTES, _JOURNAL, *_MADE_FILES):
+        for name in (_SETTINGS, _NOTES, JOURNAL, *_MADE_FILES):
             (self.folder / name).unlink(missing_ok=True)
 
 
@@ -519,30 +315,6 @@ def list_experiments(root: Path) -> list[Experiment]:
     if not root.is_dir():
         return []
     return [Experiment(path.parent) for path in sorted(root.glob(f"*/{_SETTINGS}"))]
-
-
-def _digest_of(path: Path) -> str:
-    """Of a file that is not there: empty."""
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError:
-        return ""
-
-
-def _in_order(files: dict[str, Path], recorded: Sequence[str], added: Sequence[str]) -> list[Path]:
-    """Those of ``recorded`` in its order; each other one before the first that was executed
-    later."""
-    order = sorted(files)
-    if any("-" in name for name in files):
-        place = {name: at for at, name in enumerate(added)}
-        order.sort(key=lambda name: place.get(name, len(place)))
-    when = {name: at for at, name in enumerate(order)}
-    told = [name for name in dict.fromkeys(Path(file).name for file in recorded) if name in files]
-    for name in order:
-        if name not in told:
-            later = (at for at, other in enumerate(told) if when[other] > when[name])
-            told.insert(next(later, len(told)), name)
-    return [files[name] for name in told]
 
 
 def _slug(text: str) -> str:

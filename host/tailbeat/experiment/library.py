@@ -14,17 +14,17 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from tailbeat.board.fish import Fish
-from tailbeat.core.errors import InputError, reason
-from tailbeat.core.files import replace_file, sync_folder, write_whole
-from tailbeat.core.locks import locked
+from tailbeat.core.errors import InputError
+from tailbeat.core.files import sync_folder, write_whole
 from tailbeat.core.reference import Reference
-from tailbeat.core.trial_file import Trial, parse_trial, read_trial
+from tailbeat.core.trial_file import Trial
+from tailbeat.experiment.store import Kept, TrialStore, read_kept, trial_content
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import KnownFish, known_fish
@@ -36,27 +36,15 @@ _MARKS = (DISCARDED, RUN)
 _IDENTIFIED = "identified.json"
 _REFERENCES = "references.json"
 _PRESERVED = "before-identify"
-_PART = ".part"
-_READ_ONLY = 0o444
 _DIGEST_DIGITS = 16
-_ORDERS = 999_999
 
 
 @dataclass(frozen=True)
-class Kept:
-    """A trial of the trial library and its file. ``mark``: empty, ``discarded`` (counts for
-    nothing) or ``run`` (of an identification: the model knows it, but it is in no series)."""
-
-    trial: Trial
-    path: Path
-    mark: str = ""
-
-
-@dataclass(frozen=True)
-class TrialLibrary:
+class TrialLibrary(TrialStore):
     """One fish's folder."""
 
-    folder: Path
+    remedy = f"Make the folder writable, or name another one in {FOLDER_VARIABLE}."
+    made_by_use = True
 
     @classmethod
     def of(cls, unique_id: str, root: Path | None = None) -> TrialLibrary:
@@ -72,32 +60,21 @@ class TrialLibrary:
         """Copies a trial's file; where its copy is, there or now. What is kept already, or the
         beginning of it, is not kept again. ``mark``: as in ``Kept``. Lasting when it returns.
         Raises InputError."""
-        copy = self._copy(path)
+        number, content = trial_content(path)
+        pattern, ending = f"*_{number:04d}_*.ulg", f"_{number:04d}_{_digest(content)}.ulg"
+        held = (kept for kept in _sorted(self._trials, pattern) if _begins_with(kept, content))
+        copy = next(held, None) or self._add(self._trials, ending, content)
         if mark:
             self.mark(copy, mark)
         return copy
 
     def mark(self, copy: Path, mark: str) -> None:
         """Says of a trial what it is, see ``Kept``; ``copy``: what ``keep`` returned."""
-        with self._writable():
-            self._marks.mkdir(parents=True, exist_ok=True)
+        with self.changing():
+            self._marks.mkdir(exist_ok=True)
             (self._marks / f"{_name_of(copy)}.{mark}").touch()
             sync_folder(self._marks)
             sync_folder(self.folder)
-
-    def _copy(self, path: Path) -> Path:
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise InputError(
-                f"cannot read {path} ({reason(error)}).", "Pull the trial again."
-            ) from error
-        number = parse_trial(content, path.name).number
-        for kept in _sorted(self._trials, f"*_{number:04d}_*.ulg"):
-            with contextlib.suppress(OSError):
-                if (held := kept.read_bytes()).startswith(content) and _is_sound(kept, held):
-                    return kept
-        return self._add(self._trials, f"_{number:04d}_{_digest(content)}.ulg", content)
 
     def trials(self) -> list[Trial]:
         """In the order they were kept. Damaged files are left out."""
@@ -112,21 +89,8 @@ class TrialLibrary:
     def kept(self, latest: Path | None = None) -> tuple[list[Kept], list[str]]:
         """The same with files and marks. ``latest``: a trial's file that is to be the last of all,
         kept or not (a board that starts again may have swum one like it before)."""
-        found: list[tuple[bytes, Kept]] = []
-        problems: list[str] = []
-        for path in _sorted(self._trials, "*.ulg"):
-            try:
-                content = path.read_bytes()
-                if not _is_sound(path, content):
-                    raise InputError(f"{path} is damaged", "Pull that trial again.")
-                self._join(found, content, path)
-            except OSError as error:
-                problems.append(f"cannot read {path} ({reason(error)})")
-            except InputError as error:
-                problems.append(str(error))
-        if latest is not None:
-            found.append(found.pop(self._join(found, latest.read_bytes(), latest)))
-        return [kept for _, kept in found], problems
+        found, problems = read_kept(_sorted(self._trials, "*.ulg"), _is_sound, latest)
+        return [replace(kept, mark=self._mark_of(kept.path)) for kept in found], problems
 
     def speeds(self, latest: Path | None = None) -> list[TrialSpeeds]:
         """As the model sees them, without those that have no speed or were discarded."""
@@ -174,9 +138,8 @@ class TrialLibrary:
     def put(self, name: str, document: Mapping[str, Any]) -> None:
         """Replaces a JSON file of the folder in one step, lasting. What follows from the file as it
         was belongs into one block of ``changing``. Raises InputError."""
-        with self._writable():
-            self.folder.mkdir(parents=True, exist_ok=True)
-        write_whole(self.folder / name, json.dumps(document, indent=2) + "\n")
+        with self.changing():
+            write_whole(self.folder / name, json.dumps(document, indent=2) + "\n")
 
     def reference_name(self, crc: int) -> str | None:
         """None: it was uploaded by another computer, or a tool that kept no names."""
@@ -201,53 +164,15 @@ class TrialLibrary:
         name = _name_of(path)
         return next((m for m in _MARKS if (self._marks / f"{name}.{m}").exists()), "")
 
-    def _join(self, found: list[tuple[bytes, Kept]], content: bytes, path: Path) -> int:
-        """Where in ``found`` the trial of this file is now. A board appends to a trial's file when
-        it gets speeds later: the longer file is the trial, in the place of the shorter."""
-        kept = Kept(parse_trial(content, path.name), path, self._mark_of(path))
-        for at, (held, other) in enumerate(found):
-            if other.trial.number != kept.trial.number:
-                continue
-            if held.startswith(content):
-                return at
-            if content.startswith(held):
-                found[at] = (content, kept)
-                return at
-        found.append((content, kept))
-        return len(found) - 1
-
     def _add(self, folder: Path, ending: str, content: bytes) -> Path:
         """Writes ``content`` whole or not at all, named by the next order number."""
-        with self._writable():
-            folder.mkdir(parents=True, exist_ok=True)
-            order, claim = _claim(folder)
-            path = folder / f"{order:06d}{ending}"
-            try:
-                replace_file(path, content, _READ_ONLY)
-            finally:
-                claim.unlink(missing_ok=True)
-            for made in (folder, self.folder, self.folder.parent):
+        with self.changing():
+            folder.mkdir(exist_ok=True)
+            order = 1 + max((_order(path) for path in folder.iterdir()), default=0)
+            path = self.add_file(folder / f"{order:06d}{ending}", content)
+            for made in (self.folder, self.folder.parent):
                 sync_folder(made)
         return path
-
-    @contextlib.contextmanager
-    def changing(self) -> Iterator[None]:
-        """For a file that is read, changed and written again: one process and thread at a time.
-        Makes the folder. Raises InputError."""
-        with self._writable():
-            self.folder.mkdir(parents=True, exist_ok=True)
-            with locked(self.folder):
-                yield
-
-    @contextlib.contextmanager
-    def _writable(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise InputError(
-                f"cannot write into the trial library {self.folder} ({reason(error)})",
-                f"Make the folder writable, or name another one in {FOLDER_VARIABLE}.",
-            ) from error
 
 
 def library_of(fish: Fish, root: Path | None = None) -> TrialLibrary | None:
@@ -292,24 +217,8 @@ def _sorted(folder: Path, pattern: str) -> list[Path]:
     return []
 
 
-def _claim(folder: Path) -> tuple[int, Path]:
-    """The next order number and an empty file that keeps it from all other processes."""
-    while True:
-        order = 1 + max((_order(path) for path in folder.iterdir()), default=0)
-        if order > _ORDERS:
-            raise OSError(28, "it holds 999999 files")
-        part = folder / f"{order:06d}{_PART}"
-        try:
-            os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644))
-        except FileExistsError:
-            continue
-        if not any(path != part for path in folder.glob(f"{order:06d}*")):
-            return order, part
-        part.unlink()  # another process had finished with this number since we looked
-
-
 def _order(path: Path) -> int:
-    digits = path.name[:6]
+    digits = path.name.partition(".")[0].partition("_")[0]
     return int(digits) if digits.isascii() and digits.isdigit() else 0
 
 
@@ -324,6 +233,13 @@ def _name_of(path: Path) -> str:
 
 def _is_sound(path: Path, content: bytes) -> bool:
     return path.stem.rpartition("_")[2] == _digest(content)
+
+
+def _begins_with(path: Path, content: bytes) -> bool:
+    """Whether it is a sound file that holds ``content``, perhaps with more behind it."""
+    with contextlib.suppress(OSError):
+        return (held := path.read_bytes()).startswith(content) and _is_sound(path, held)
+    return False
 
 
 def preserve_folder(book: TrialLibrary | None) -> Path | None:
@@ -346,10 +262,4 @@ def read_trials(folder: Path) -> tuple[list[Kept], list[str]]:
     if not folder.is_dir():
         raise InputError(f"there is no folder {folder}.", "Name an experiment's folder.")
     raw = folder / "raw"
-    trials, problems = [], []
-    for path in sorted((raw if raw.is_dir() else folder).glob("*.ulg")):
-        try:
-            trials.append(Kept(read_trial(path), path))
-        except InputError as error:
-            problems.append(str(error))
-    return trials, problems
+    return read_kept(sorted((raw if raw.is_dir() else folder).glob("*.ulg")))

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from statistics import fmean
 
 import numpy as np
 
@@ -205,7 +206,7 @@ def with_noise(rows: Sequence[TrialRow], noise_m_s: float, freedom: int) -> list
     return found
 
 
-def student_t(freedom: int) -> float:
+def student_t(freedom: float) -> float:
     """Student's t that 95 % stay within: 12.7 for one pair of repeats, 1.96 for many."""
     from scipy.special import stdtrit
 
@@ -227,6 +228,6 @@ def noise_of(rows: Sequence[TrialRow], trials: Sequence[Trial]) -> tuple[float, 
     freedom = sum(len(group) - 1 for group in groups.values())
     if freedom == 0:
         return math.nan, 0
-    means = {name: math.fsum(group) / len(group) for name, group in groups.items()}
+    means = {name: fmean(group) for name, group in groups.items()}
     squares = math.fsum((e - means[name]) ** 2 for name, group in groups.items() for e in group)
     return math.sqrt(squares / freedom), freedom

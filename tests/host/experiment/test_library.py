@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import stat
+import threading
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
@@ -162,25 +163,16 @@ def test_several_processes_write_at_once(tmp_path: Path) -> None:
     assert not any(name.endswith(".part") for name in names)
 
 
-def test_a_number_taken_meanwhile_is_not_taken_twice(
-    library: TrialLibrary, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Another process finishes with the number between our look and our claim."""
-    from tailbeat.experiment import library as module
-
-    real, raced = module._order, []
-
-    def slow(path: Path) -> int:
-        if not raced:
-            raced.append(path)
-            library.add_proposal({"who": "other"})
-        return real(path)
-
+def test_a_change_waits_for_the_change_before_it(library: TrialLibrary) -> None:
+    """Else two could take the same number."""
     library.add_proposal({"who": "before"})
-    monkeypatch.setattr(module, "_order", slow)
-    library.add_proposal({"who": "ours"})
-    assert raced
-    assert [d["who"] for d in library.proposals()] == ["before", "other", "ours"]
+    other = threading.Thread(target=library.add_proposal, args=[{"who": "other"}])
+    with library.changing():
+        other.start()
+        library.add_proposal({"who": "ours"})
+        assert [d["who"] for d in library.proposals()] == ["before", "ours"]
+    other.join()
+    assert [d["who"] for d in library.proposals()] == ["before", "ours", "other"]
     names = [path.name for path in sorted((library.folder / "proposals").iterdir())]
     assert names == ["000001.json", "000002.json", "000003.json"]
 

@@ -16,7 +16,8 @@ import pytest
 from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.experiment.library import Kept, TrialLibrary
+from tailbeat.experiment.library import TrialLibrary
+from tailbeat.experiment.store import Kept
 from tailbeat.learning.assessment import progress_of, series_of
 from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.identification import Identified
