@@ -321,18 +321,32 @@ def test_a_taken_port_is_told(page: Page) -> None:
     assert "--port" in done.stderr
 
 
-def _swim_and(browser: Browser, choice: str) -> None:
-    browser.click(".start")
-    browser.phase("deciding")
+def _start(browser: Browser, phase: str) -> None:
+    """Presses START until ``phase`` begins. A link that breaks at that moment drops the request;
+    the page says so once it has connected again, and START is pressed again."""
+    dropped = "document.querySelector('.log').innerText.split('but not done: ask again').length"
+    ends = json.dumps([phase, "failed"])
+    while True:
+        before = browser.ask(dropped)
+        browser.click(".start")
+        reached = f"{ends}.includes(document.querySelector('.root')?.dataset.phase)"
+        browser.until(f"{reached} || {dropped} > {before}")
+        if browser.ask(dropped) == before:
+            assert browser.ask("document.querySelector('.root').dataset.phase") != "failed"
+            return
+
+
+def _trial_and(browser: Browser, choice: str) -> None:
+    _start(browser, "deciding")
     browser.click(f".choose-{choice}")
     browser.phase("idle")
 
 
-def _ritual(browser: Browser, wanted: bool) -> None:
+def _preflight(browser: Browser, is_on: bool) -> None:
     state = "document.querySelector('.q-toggle').getAttribute('aria-checked')"
-    if (browser.ask(state) == "true") is not wanted:
+    if (browser.ask(state) == "true") is not is_on:
         browser.click(".q-toggle")
-        browser.until(f"{state} === '{str(wanted).lower()}'")
+        browser.until(f"{state} === '{str(is_on).lower()}'")
 
 
 def test_a_session(page: Page, browser: Browser) -> None:
@@ -354,7 +368,7 @@ def test_a_session(page: Page, browser: Browser) -> None:
     assert browser.strangers() == set()
     (raw,) = (page.root / "experiments").glob("*/raw/0002.ulg")
     assert log.read_bytes() == raw.read_bytes()
-    _end_in_a_swim(browser, page.process)
+    _end_in_a_trial(browser, page.process)
     with Fish.connect(page.address) as board:
         assert board.ftp.read("/trials/0002.ulg") == log.read_bytes()
         status = board.status()
@@ -380,19 +394,18 @@ def _learn(browser: Browser) -> None:
     browser.click(".use")
     browser.until("document.querySelector('.next').innerText.startsWith('START: trial 1')")
     assert len(browser.chart("speed-chart")) == 22
-    browser.click(".start")
-    browser.phase("ritual")
+    _start(browser, "preflight")
     browser.until("document.querySelectorAll('.steps .done').length >= 3")
-    browser.looks("ritual")
+    browser.looks("preflight")
     browser.phase("deciding")
     browser.looks("deciding")
     browser.require_large_targets()
     browser.click(".choose-keep")
     browser.phase("idle")
     assert len(browser.chart("speed-chart", 1, 22)) == 22
-    _ritual(browser, False)
-    _swim_and(browser, "keep")
-    _swim_and(browser, "keep")
+    _preflight(browser, False)
+    _trial_and(browser, "keep")
+    _trial_and(browser, "keep")
     browser.until("document.querySelectorAll('.trial.keep').length === 3")
     points = browser.chart("error-chart")
     assert [x for x, _ in points] == [1, 2, 3]
@@ -419,8 +432,7 @@ def _abort(browser: Browser) -> None:
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.keys import Keys
 
-    browser.click(".start")
-    browser.phase("swimming")
+    _start(browser, "swimming")
     browser.until("/beat ([4-9]|[0-9]{2,}) of/.test(document.querySelector('.headline').innerText)")
     ActionChains(browser.driver).send_keys(Keys.ESCAPE).perform()
     browser.phase("deciding")
@@ -469,10 +481,9 @@ def _silence(browser: Browser, fish: Any) -> None:
     browser.phase("idle")
 
 
-def _end_in_a_swim(browser: Browser, page: Any) -> None:
+def _end_in_a_trial(browser: Browser, page: Any) -> None:
     """Ctrl-C while the tail beats; the page says that it hears nothing any more."""
-    browser.click(".start")
-    browser.phase("swimming")
+    _start(browser, "swimming")
     browser.until("/beat ([3-9]|[0-9]{2,}) of/.test(document.querySelector('.headline').innerText)")
     page.send_signal(signal.SIGINT)
     assert page.wait(PATIENCE_S) == 0

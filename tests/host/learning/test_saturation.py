@@ -143,5 +143,5 @@ def test_the_page_shows_the_words(series: list[Trial]) -> None:
 
     page = Listener()
     page.tell(assessed(verdict))
-    assert verdict.saturation.words in page.now.verdict
-    assert "tailbeat params set AMP_MAX_RAD" in page.now.verdict
+    assert verdict.saturation.words in page.now.assessment
+    assert "tailbeat params set AMP_MAX_RAD" in page.now.assessment

@@ -1,20 +1,17 @@
-"""What people ask for, on its way to the thread that swims: in order, but abort overtakes.
-
-Who asks for a page waits for its turn: making one keeps the only thread of the server busy, and
-between two of them ABORT gets through.
-"""
+"""What people ask for, on its way to the thread that swims: in order, but abort overtakes."""
 
 from __future__ import annotations
 
-import asyncio
 import threading
 from collections import deque
-from collections.abc import MutableMapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Any
 
-from tailbeat.app.web.access import App, Receive, Scope, Send, answer
 from tailbeat.core.errors import InputError
+from tailbeat.session.outcome import Decision, DecisionKind
+from tailbeat.session.series import Until
 
 KINDS = ("swim", "decide", "answer", "upload", "set", "note", "clear", "fresh")
 _SINGLE = frozenset(KINDS) - {"note"}  # the first who asks is served, the second hears why not
@@ -27,10 +24,36 @@ class Ask:
     kind: str
     values: dict[str, Any] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, kind: str, values: dict[str, Any]) -> Ask:
+        """Checked where it is asked, so that who asked hears of it. Raises InputError."""
+        check = _CHECKS.get(kind, dict)
+        return cls(kind, check(**values))
+
+
+def _swim(until: str = "1", preflight: bool = True) -> dict[str, Any]:
+    return {"until": Until.parse(str(until)), "preflight": bool(preflight)}
+
+
+def _decision(kind: DecisionKind, reason: str = "") -> dict[str, Any]:
+    made = Decision(kind, str(reason).strip())
+    return {"kind": made.kind, "reason": made.reason}
+
+
+def _note(text: str) -> dict[str, Any]:
+    if not (words := " ".join(str(text).split())):
+        raise InputError("the note is empty.", "Write what you want to remember.")
+    return {"text": words, "at": datetime.now()}
+
+
+_CHECKS: dict[str, Callable[..., dict[str, Any]]] = {
+    "swim": _swim, "decide": _decision, "note": _note,
+}  # fmt: skip
+
 
 class Asks:
     """Filled by any thread, emptied by one. It takes in only what the emptying thread has opened;
-    the first of several who ask for the same thing gets it, whoever comes later is told."""
+    the first of several who ask for the same thing gets it, whoever comes later hears why not."""
 
     def __init__(self) -> None:
         self._news = threading.Condition()
@@ -55,7 +78,8 @@ class Asks:
             raise InputError(f"'{ask.kind}' is nothing to ask for.", f"Say {', '.join(KINDS)}.")
         with self._news:
             if ask.kind not in self._open or self._closed:
-                raise InputError(_why_not(ask.kind), "Look at the page: it shows how things stand.")
+                why = _BUSY.get(ask.kind, _NOT_NOW)
+                raise InputError(why, "Look at the page: it shows how things stand.")
             if ask.kind in _SINGLE:
                 self._open &= {"note"}
             self._waiting.append(ask)
@@ -96,17 +120,13 @@ class Asks:
                     return ask
         return None
 
-    def wait(self, patience_s: float) -> None:
-        """Until there may be something to take, an abort or the end; at most so long."""
-        with self._news:
-            if not (self._waiting or self._abort or self._closed):
-                self._news.wait(patience_s)
-
-    def wait_for(self, patience_s: float, *kinds: str) -> None:
-        """Until one of ``kinds`` waits, or the end; at most so long."""
+    def wait(self, patience_s: float, *kinds: str) -> None:
+        """Until one of ``kinds`` waits, or the end; none named: any, or an abort. At most so
+        long."""
 
         def there() -> bool:
-            return self._closed or any(ask.kind in kinds for ask in self._waiting)
+            is_there = any(not kinds or ask.kind in kinds for ask in self._waiting)
+            return is_there or self._closed or (self._abort and not kinds)
 
         with self._news:
             self._news.wait_for(there, patience_s)
@@ -117,64 +137,9 @@ class Asks:
             self._news.wait_for(lambda: self._closed, patience_s)
 
 
-def _why_not(kind: str) -> str:
-    if kind == "decide":
-        return "there is nothing to decide: somebody has decided already"
-    if kind == "answer":
-        return "there is nothing to answer: somebody has answered already"
-    if kind == "swim":
-        return "it swims already, or cannot swim now"
-    return "this cannot be done now: the fish is busy, or not connected"
-
-
-WAITING_MAX = 12  # pages of 0.1 to 0.3 s each: longer than that nobody waits for one
-_AGAIN_S = 3
-_PASSES = 8  # of the event loop: a connection is taken, read and answered in five
-_LIGHT = ("/_nicegui", "/raw/", "/beats/")  # files, read by other threads
-_LATER = (
-    f'<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="{_AGAIN_S}">'
-    '<meta name="viewport" content="width=device-width"><title>tailbeat</title>'
-    "<p>tailbeat: many ask for the page at once; it is asked for again in a moment."
-)
-
-
-@dataclass
-class Turns:
-    """Before ``app`` (ASGI): one page at a time, and at most WAITING_MAX that wait. More get a 503,
-    with which their browser comes again by itself."""
-
-    app: App
-    _turn: asyncio.Lock = field(default_factory=asyncio.Lock)
-    _waiting: int = 0
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http" or str(scope["path"]).startswith(_LIGHT):
-            await self.app(scope, receive, send)
-        elif self._waiting >= WAITING_MAX:
-            again = [(b"retry-after", str(_AGAIN_S).encode())]
-            await answer(send, 503, _LATER, "text/html", again, scope["method"] == "HEAD")
-        else:
-            await self._in_turn(scope, receive, send)
-
-    async def _in_turn(self, scope: Scope, receive: Receive, send: Send) -> None:
-        self._waiting += 1
-        try:
-            await self._turn.acquire()
-        finally:
-            self._waiting -= 1
-        is_made = False
-
-        async def sent(message: MutableMapping[str, Any]) -> None:
-            nonlocal is_made
-            if not is_made:  # who takes it in slowly holds up nobody
-                is_made = True
-                self._turn.release()
-            await send(message)
-
-        try:
-            for _ in range(_PASSES):
-                await asyncio.sleep(0)
-            await self.app(scope, receive, sent)
-        finally:
-            if not is_made:
-                self._turn.release()
+_BUSY = {
+    "decide": "there is nothing to decide: somebody has decided already",
+    "answer": "there is nothing to answer: somebody has answered already",
+    "swim": "it swims already, or cannot swim now",
+}
+_NOT_NOW = "this cannot be done now: the fish is busy, or not connected"

@@ -1,8 +1,9 @@
 """Under which addresses other computers see this one.
 
-What can be taken home from the page: logs as they came from the board, and their beats.
-
 Serves the page until it is told to end; the tail is stopped first.
+
+Who asks for a page waits for its turn: making one keeps the only thread of the server busy, and
+between two of them ABORT gets through.
 """
 
 from __future__ import annotations
@@ -17,24 +18,34 @@ import socket
 import struct
 import sys
 import webbrowser
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable, MutableMapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import FrameType
+from typing import Any
 
 import uvicorn
-from fastapi import FastAPI
+from fastapi import FastAPI, HTTPException
+from fastapi.responses import FileResponse, Response
 from nicegui import app, ui
 
-from tailbeat.app.web.access import Access, Rules, is_loopback, new_token
+from tailbeat.app.web.access import (
+    Access,
+    App,
+    Receive,
+    Rules,
+    Scope,
+    Send,
+    answer,
+    is_loopback,
+    new_token,
+)
 from tailbeat.app.web.gate import Entrance, Gate
-from tailbeat.app.web.inbox import Turns
-from tailbeat.app.web.page import build
+from tailbeat.app.web.page import Page
 from tailbeat.app.web.worker import Worker
-from tailbeat.core.errors import ConnectError, reason
-
-if TYPE_CHECKING:
-    from types import FrameType
-
+from tailbeat.core.errors import ConnectError, TailbeatError, reason
+from tailbeat.core.trial_file import beats_csv, read_trial
 
 _SIOCGIFADDR = 0x8915
 _ANY = ("0.0.0.0", "::")
@@ -184,3 +195,92 @@ def _open(url: str) -> None:
     if windows or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         with contextlib.suppress(webbrowser.Error):
             webbrowser.open(url)
+
+
+def build(worker: Worker) -> None:
+    """Registers the page and what goes with it."""
+    serve_downloads(worker)
+
+    @ui.page("/", title="tailbeat")
+    def page() -> None:
+        Page(worker)
+
+
+def serve_downloads(worker: Worker) -> None:
+    """``/raw/NAME``: a log; ``/beats/NAME.csv``: its beats. Only those in the trial list."""
+
+    def file_of(name: str) -> Path:
+        path = worker.raw_file(name)
+        if path is None or not path.is_file():
+            raise HTTPException(404, "there is no such trial")
+        return path
+
+    @app.get("/raw/{name}")
+    def raw(name: str) -> Response:
+        return FileResponse(file_of(name), media_type="application/octet-stream", filename=name)
+
+    @app.get("/beats/{name}.csv")
+    def beats(name: str) -> Response:
+        path = file_of(f"{name}.ulg")
+        try:
+            with TemporaryDirectory() as folder:
+                out = Path(folder) / "beats.csv"
+                beats_csv(read_trial(path), out)
+                text = out.read_text(encoding="utf-8")
+        except TailbeatError as error:
+            raise HTTPException(422, str(error)) from error
+        headers = {"content-disposition": f'attachment; filename="{name}.csv"'}
+        return Response(text, media_type="text/csv", headers=headers)
+
+
+WAITING_MAX = 12  # pages of 0.1 to 0.3 s each: longer than that nobody waits for one
+_AGAIN_S = 3
+_PASSES = 8  # of the event loop: a connection is taken, read and answered in five
+_LIGHT = ("/_nicegui", "/raw/", "/beats/")  # files, read by other threads
+_LATER = (
+    f'<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="{_AGAIN_S}">'
+    '<meta name="viewport" content="width=device-width"><title>tailbeat</title>'
+    "<p>tailbeat: many ask for the page at once; it is asked for again in a moment."
+)
+
+
+@dataclass
+class Turns:
+    """Before ``app`` (ASGI): one page at a time, and at most WAITING_MAX that wait. More get a 503,
+    with which their browser comes again by itself."""
+
+    app: App
+    _turn: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _waiting: int = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http" or str(scope["path"]).startswith(_LIGHT):
+            await self.app(scope, receive, send)
+        elif self._waiting >= WAITING_MAX:
+            again = [(b"retry-after", str(_AGAIN_S).encode())]
+            await answer(send, 503, _LATER, "text/html", again, scope["method"] == "HEAD")
+        else:
+            await self._in_turn(scope, receive, send)
+
+    async def _in_turn(self, scope: Scope, receive: Receive, send: Send) -> None:
+        self._waiting += 1
+        try:
+            await self._turn.acquire()
+        finally:
+            self._waiting -= 1
+        is_made = False
+
+        async def sent(message: MutableMapping[str, Any]) -> None:
+            nonlocal is_made
+            if not is_made:  # who takes it in slowly holds up nobody
+                is_made = True
+                self._turn.release()
+            await send(message)
+
+        try:
+            for _ in range(_PASSES):
+                await asyncio.sleep(0)
+            await self.app(scope, receive, sent)
+        finally:
+            if not is_made:
+                self._turn.release()

@@ -6,9 +6,13 @@ How things are put on the page: short words, numbers with their units.
 from __future__ import annotations
 
 import math
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from datetime import datetime
 from typing import Any, Literal
 
+from tailbeat.core.errors import TailbeatError, reason
 from tailbeat.core.printable import mm, printable
 from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.link.messages import BeatEvent, BoardStatus
@@ -24,10 +28,10 @@ from tailbeat.session.outcome import RecordedTrial, Travel
 from tailbeat.session.presenter import log_line
 
 Phase = Literal[
-    "connecting", "idle", "working", "ritual", "countdown", "swimming", "deciding", "asking",
+    "connecting", "idle", "working", "preflight", "countdown", "swimming", "deciding", "asking",
     "failed",
 ]  # fmt: skip
-MOVING: tuple[Phase, ...] = ("ritual", "countdown", "swimming")
+MOVING: tuple[Phase, ...] = ("preflight", "countdown", "swimming")
 """Phases in which the tail beats or is about to."""
 
 STOPPED = ("ABORTED", "FAULT")
@@ -72,9 +76,9 @@ class PageState:
     recorded: RecordedTrial | None = None
     question: str = ""
     rows: tuple[TrialRow, ...] = ()
-    floor_m_s: float | None = None
+    error_bound_m_s: float | None = None
     start_error_m_s: float | None = None
-    verdict: str = ""
+    assessment: str = ""
     problem: str = ""
     fault: str = ""
     log: tuple[str, ...] = ()
@@ -92,7 +96,7 @@ def by_status(now: PageState, status: BoardStatus) -> PageState:
     """What the board says of itself once a second."""
     stopped = status.state in STOPPED and status.fault.number != 0
     fault = status.fault
-    trials = status.state in ("RUNNING", "SETTLING")
+    is_under_way = status.state in ("RUNNING", "SETTLING")
     return replace(
         now,
         state=status.state,
@@ -100,7 +104,7 @@ def by_status(now: PageState, status: BoardStatus) -> PageState:
         iteration=status.iteration,
         next_trial=status.next_trial,
         pending=status.pending_trial,
-        beat=status.beat if trials else None,
+        beat=status.beat if is_under_way else None,
         fault=f"{fault.meaning}. {fault.remedy}" if stopped else "",
     )
 
@@ -133,7 +137,7 @@ def _changed(now: PageState, event: Event) -> PageState:
             battery_v = now.battery_v if event.battery_v is None else event.battery_v
             return replace(now, beat=event.beat, battery_v=battery_v)
         case Assessed():
-            return replace(now, verdict=_assessment(event))
+            return replace(now, assessment=_assessment(event))
     return now
 
 
@@ -146,7 +150,7 @@ def _step(now: PageState, event: StepProgress) -> PageState:
     others = [s for s in now.steps if s.step != event.step]
     at = next((i for i, s in enumerate(now.steps) if s.step == event.step), len(others))
     steps = (*others[:at], event, *others[at:])
-    return replace(now, phase="ritual", step=event.text, left_s=event.left_s, steps=steps)
+    return replace(now, phase="preflight", step=event.text, left_s=event.left_s, steps=steps)
 
 
 def _with_beat(now: PageState, beat: BeatEvent) -> PageState:
@@ -165,6 +169,65 @@ def _assessment(event: Assessed) -> str:
     return f"{event.words} {event.saturation}" if event.saturation else event.words
 
 
+class Screen:
+    """The snapshot that is shown. Any thread may look; only the worker's changes it, so that
+    snapshots do not overtake each other."""
+
+    def __init__(self) -> None:
+        self.now = PageState()
+        self._changed = threading.Condition()
+
+    def show(self, snapshot: PageState) -> None:
+        """From now on."""
+        with self._changed:
+            self.now = replace(snapshot, serial=self.now.serial + 1)
+            self._changed.notify_all()
+
+    def set(self, **changes: Any) -> None:
+        """Likewise; the rest stays."""
+        self.show(replace(self.now, **changes))
+
+    def say(self, text: str) -> None:
+        """One line more in the log."""
+        self.show(logged(self.now, text, clock()))
+
+    def trouble(self, error: Exception) -> None:
+        """What is wrong, with what to do."""
+        words = str(error) if isinstance(error, TailbeatError) else reason(error)
+        is_new = (words := from_the_page(words)) != self.now.problem
+        self.set(problem=words)
+        if is_new:
+            self.say(words)
+
+    def wait(self, until: Callable[[PageState], bool], patience_s: float) -> PageState:
+        """The first snapshot for which ``until`` holds. Raises TimeoutError."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: until(self.now), patience_s):
+                raise TimeoutError(f"still {self.now}")
+            return self.now
+
+
+def clock() -> str:
+    """The time in the log."""
+    return datetime.now().strftime("%H:%M:%S")
+
+
+def from_the_page(words: str) -> str:
+    """Commands need the port that the page holds."""
+    if "tailbeat session" not in words and "tailbeat params" not in words:
+        return words
+    return f"{words.rstrip('.')}. End this page first: Ctrl-C where tailbeat session web runs."
+
+
+def unexpected(error: Exception) -> str:
+    """What to do about an error in this package."""
+    return (
+        f"something went wrong that should not ({type(error).__name__}: {error})."
+        " Switch the fish off if its tail beats, start 'tailbeat session web' again and report "
+        "this."
+    )
+
+
 SILENT_S = 3.0
 _BATTERY_MARGIN_V = 0.3  # above BATT_LOW_V: one more trial, then the next battery
 
@@ -173,7 +236,7 @@ STATES = {
     "IDLE": "at rest",
     "ARMED": "armed: the tail may start",
     "RUNNING": "swimming",
-    "SETTLING": "swum, sorting out the last beats",
+    "SETTLING": "executed, sorting out the last beats",
     "LEARNING": "learning",
     "ABORTED": "stopped on request",
     "FAULT": "stopped by a fault",
@@ -182,7 +245,7 @@ PHASES = {
     "connecting": "Connecting",
     "idle": "Ready",
     "working": "Working",
-    "ritual": "Getting ready",
+    "preflight": "Getting ready",
     "countdown": "Hands out of the water",
     "swimming": "Swimming",
     "deciding": "Your decision",
@@ -210,12 +273,17 @@ def phase_line(now: PageState) -> str:
     return PHASES[now.phase]
 
 
+def steps_shown(now: PageState) -> tuple[StepProgress, ...]:
+    """The preflight checks, while they are under way."""
+    return now.steps if now.phase in ("preflight", "countdown") else ()
+
+
 def live_line(now: PageState) -> str:
     """The last beat that is known, while it swims."""
     beat = max((k for k, v in enumerate(now.speed_m_s) if v is not None), default=None)
     if now.phase != "swimming" or beat is None:
         return ""
-    line = f"{mm(now.speed_m_s[beat])} mm/s, wanted {mm(now.reference_m_s[beat])}"
+    line = f"{mm(now.speed_m_s[beat])} mm/s, reference {mm(now.reference_m_s[beat])}"
     amplitude = now.amplitude_rad[beat]
     return line if amplitude is None else f"{line}; tail ±{math.degrees(amplitude):.0f}°"
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from tailbeat.app.web import cards, view
+from tailbeat.app.web import page, view
 from tailbeat.app.web.view import LOG_LINES, PageState, after, logged
 from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.experiment.trial_rows import TrialRow
@@ -43,27 +43,27 @@ def row(trial: int, error_m_s: float, decision: str = "keep", **other: object) -
 
 
 def test_what_was_not_measured_is_a_gap() -> None:
-    wanted, measured = cards.speed_chart(NOW)["series"]
-    assert wanted["data"] == [10.0, 50.0, 70.0, 50.0]
+    reference, measured = page.speed_chart(NOW)["series"]
+    assert reference["data"] == [10.0, 50.0, 70.0, 50.0]
     assert measured["data"] == [0.0, 40.0, None, None]
 
 
-def test_a_speed_beyond_the_wanted_one_stays_in_the_picture() -> None:
+def test_a_speed_beyond_the_reference_stays_in_the_picture() -> None:
     fast = replace(NOW, speed_m_s=(0.0, 0.2, None, None))
-    assert cards.speed_chart(fast)["yAxis"]["max"] >= 200
+    assert page.speed_chart(fast)["yAxis"]["max"] >= 200
 
 
 def test_amplitudes_in_degrees_under_their_limit() -> None:
-    options = cards.amplitude_chart(NOW)
+    options = page.amplitude_chart(NOW)
     (bars,) = options["series"]
     assert bars["data"] == [5.73, 17.19, None, None]
     assert bars["markLine"]["data"][0]["yAxis"] == pytest.approx(math.degrees(0.5), abs=1e-3)
     assert options["yAxis"]["max"] > math.degrees(0.5)
 
 
-def test_the_error_axis_holds_every_error_and_the_floor() -> None:
+def test_the_error_axis_holds_every_error_and_the_error_bound() -> None:
     rows = (row(1, 0.073), row(2, 0.0433), row(3, 0.0121, "discard"), row(4, math.nan))
-    options = cards.error_chart(replace(NOW, rows=rows, floor_m_s=0.0107))
+    options = page.error_chart(replace(NOW, rows=rows, error_bound_m_s=0.0107))
     kept, dropped = options["series"]
     assert kept["data"] == [[1, 73.0], [2, 43.3]]
     assert dropped["data"] == [[3, 12.1]]
@@ -72,15 +72,15 @@ def test_the_error_axis_holds_every_error_and_the_floor() -> None:
     assert axis["min"] < 10.7 < 73.0 < axis["max"]
     assert all(math.log2(axis[end]).is_integer() for end in ("min", "max"))
     assert kept["markLine"]["data"][0]["yAxis"] == pytest.approx(10.7)
-    without = cards.error_chart(replace(NOW, rows=rows, floor_m_s=math.nan))
+    without = page.error_chart(replace(NOW, rows=rows, error_bound_m_s=math.nan))
     assert "markLine" not in without["series"][0]
 
 
 def test_lines_differ_in_grey() -> None:
     """By dashes or marks, not only by colour."""
-    wanted, measured = cards.speed_chart(NOW)["series"]
-    assert wanted["lineStyle"]["type"] != measured["lineStyle"].get("type", "solid")
-    assert wanted["symbol"] != measured["symbol"]
+    reference, measured = page.speed_chart(NOW)["series"]
+    assert reference["lineStyle"]["type"] != measured["lineStyle"].get("type", "solid")
+    assert reference["symbol"] != measured["symbol"]
 
 
 @pytest.mark.parametrize(
@@ -133,10 +133,10 @@ def test_steps_keep_their_places() -> None:
     assert [(step.step, step.ok) for step in now.steps] == [
         ("rest", True), ("pose", None), ("still", None),
     ]  # fmt: skip
-    assert now.phase == "ritual"
+    assert now.phase == "preflight"
 
 
-def test_a_new_swim_wipes_the_old_one() -> None:
+def test_a_new_trial_wipes_the_old_one() -> None:
     now = after(NOW, TrialStarted(4, 3), "12:00:00")
     assert (now.phase, set(now.speed_m_s), set(now.amplitude_rad)) == ("swimming", {None}, {None})
     beat = BeatEvent(4, 1, 0.2, 0.05, 0.03, 0.001, 9, False, False)
@@ -144,7 +144,7 @@ def test_a_new_swim_wipes_the_old_one() -> None:
     assert now.speed_m_s == (None, 0.03, None, None)
     late = replace(beat, beat=9)
     assert after(now, late, "12:00:01").speed_m_s == now.speed_m_s
-    assert view.live_line(now) == "30.0 mm/s, wanted 50.0; tail ±11°"
+    assert view.live_line(now) == "30.0 mm/s, reference 50.0; tail ±11°"
 
 
 def test_the_log_forgets_its_oldest_lines() -> None:

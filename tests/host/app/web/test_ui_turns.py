@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 from tailbeat.app.web.access import Access
-from tailbeat.app.web.inbox import WAITING_MAX, Turns
+from tailbeat.app.web.server import WAITING_MAX, Turns
 
 MANY = 150
 OWN = [(b"host", b"127.0.0.1:8080"), (b"origin", b"http://127.0.0.1:8080")]

@@ -124,23 +124,23 @@ def test_it_connects_and_says_to_what(tank: Tank) -> None:
     assert now.imu_well is False  # it has only just been switched on
 
 
-def test_a_swim_from_the_ritual_to_what_was_learned(ready: Tank) -> None:
-    now = ready.ask("swim", until="1", ritual=True)
+def test_a_swim_from_the_preflight_to_what_was_learned(ready: Tank) -> None:
+    now = ready.ask("swim", until="1", preflight=True)
     assert (now.phase, now.recorded and now.recorded.outcome.end) == ("deciding", "complete")
     assert None not in now.speed_m_s
     assert [row.decision for row in now.rows] == [""]
     now = ready.decide("keep")
     assert (now.phase, now.problem, now.iteration, now.next_trial) == ("idle", "", 2, 2)
     assert [(row.decision, row.learned) for row in now.rows] == [("keep", True)]
-    assert now.verdict
+    assert now.assessment
     assert any("still" in line for line in now.log)
     assert ready.wait(lambda now: now.imu_well is True).imu.startswith("VN-100")
 
 
-def test_steps_of_the_ritual_are_shown_in_their_order(ready: Tank) -> None:
+def test_steps_of_the_preflight_are_shown_in_their_order(ready: Tank) -> None:
     seen: list[tuple[str, ...]] = []
     ready.on_beat = lambda beat: seen.append(tuple(s.step for s in ready.worker.now.steps))
-    ready.ask("swim", until="1", ritual=True)
+    ready.ask("swim", until="1", preflight=True)
     assert seen[0] == tuple(dict.fromkeys(seen[0]))
     assert {"rest", "room", "pose"} <= set(seen[0]) or len(seen[0]) >= 3
     assert all(step.ok for step in ready.worker.now.steps)
@@ -152,7 +152,7 @@ def test_abort_in_the_middle_of_a_swim(ready: Tank) -> None:
             ready.worker.ask("abort")
 
     ready.on_beat = press
-    now = ready.ask("swim", until="10", ritual=False)
+    now = ready.ask("swim", until="10", preflight=False)
     assert (now.phase, now.state) == ("deciding", "ABORTED")
     assert now.recorded is not None
     assert now.recorded.outcome.end == "aborted:ABORT_COMMAND"
@@ -168,26 +168,26 @@ def test_abort_in_the_middle_of_a_swim(ready: Tank) -> None:
 
 
 def test_one_swim_is_one_swim_whatever_becomes_of_it(ready: Tank) -> None:
-    ready.ask("swim", until="1", ritual=False)
+    ready.ask("swim", until="1", preflight=False)
     assert ready.decide("repeat", "to see the noise").phase == "idle"
-    ready.ask("swim", until="1", ritual=False)
+    ready.ask("swim", until="1", preflight=False)
     assert ready.decide("discard", "a wave").phase == "idle"
     assert ready.board.world.truth().swims == 2
 
 
 def test_the_next_swim_is_not_stopped_by_an_old_abort(ready: Tank) -> None:
     ready.on_beat = lambda beat: ready.worker.ask("abort") if beat == 2 else None
-    ready.ask("swim", ritual=False)
+    ready.ask("swim", preflight=False)
     ready.decide("discard", "stopped")
     ready.on_beat = lambda beat: None
-    now = ready.ask("swim", ritual=False)
+    now = ready.ask("swim", preflight=False)
     assert now.recorded is not None
     assert now.recorded.outcome.end == "complete"
 
 
 def test_abort_before_the_start_ends_the_waiting(ready: Tank) -> None:
     ready.at_start = lambda: ready.worker.ask("abort")
-    now = ready.ask("swim", ritual=True)
+    now = ready.ask("swim", preflight=True)
     assert (now.phase, now.state, now.next_trial, now.rows) == ("idle", "IDLE", 1, ())
     assert ready.board.world.truth().swims == 0
 
@@ -232,7 +232,7 @@ def test_abort_says_no_to_a_question(ready: Tank, monkeypatch: pytest.MonkeyPatc
         return SeriesEnd("stopped", "not now.", [], None)
 
     monkeypatch.setattr("tailbeat.app.web.worker.run_series", series)
-    ready.worker.ask("swim", ritual=False)
+    ready.worker.ask("swim", preflight=False)
     ready.wait(lambda now: now.phase == "asking" and now.question == "go on?")
     done = ready.worker.now.done
     ready.worker.ask("abort")
@@ -242,7 +242,7 @@ def test_abort_says_no_to_a_question(ready: Tank, monkeypatch: pytest.MonkeyPatc
 
 def test_what_stopped_it_is_shown_until_it_is_cleared(ready: Tank) -> None:
     ready.board.world.set_tilt_rad(1.4)
-    now = ready.ask("swim", ritual=False)
+    now = ready.ask("swim", preflight=False)
     while now.phase in ("deciding", "asking"):
         ready.board.world.set_tilt_rad(0.0)
         now = (
@@ -258,7 +258,7 @@ def test_what_stopped_it_is_shown_until_it_is_cleared(ready: Tank) -> None:
 
 
 def test_whoever_decides_first_decides(ready: Tank) -> None:
-    ready.ask("swim", ritual=False)
+    ready.ask("swim", preflight=False)
     outcomes: list[str] = []
     start = threading.Barrier(4)
 
@@ -319,12 +319,12 @@ def test_what_makes_no_sense_now_is_refused(ready: Tank) -> None:
                 refused.append(what)
 
     ready.on_beat = lambda beat: press_again(beat) if beat == 1 else None
-    ready.ask("swim", ritual=False)
+    ready.ask("swim", preflight=False)
     assert refused == ["swim", "upload", "clear"]
 
 
 def test_notes_are_taken_while_it_waits_for_a_decision(ready: Tank) -> None:
-    ready.ask("swim", ritual=False)
+    ready.ask("swim", preflight=False)
     ready.worker.ask("note", text="water 22 degrees")
     ready.wait(lambda now: any("water 22 degrees" in line for line in now.log))
     assert [entry["text"] for entry in ready.journal("note")] == ["water 22 degrees"]
@@ -348,7 +348,7 @@ def test_a_note_before_the_first_swim_waits_for_the_experiment(tmp_path: Path) -
     tank.worker.start()
     tank.wait(lambda now: now.phase == "idle")
     tank.ask("upload", reference=from_text(SHORT))
-    tank.ask("swim", ritual=False)
+    tank.ask("swim", preflight=False)
     tank.decide("keep")
     found = [(entry["text"], entry["time"]) for entry in tank.journal("note")]
     assert found == [("water 21 degrees", written[0]), ("fish was repaired", written[1])]
@@ -362,7 +362,7 @@ def test_a_note_that_cannot_be_written_stops_nothing(
     def full(*_: object) -> None:
         raise InputError("the disk is full.", "Make room.")
 
-    ready.ask("swim", ritual=False)
+    ready.ask("swim", preflight=False)
     monkeypatch.setattr("tailbeat.experiment.folder.Experiment.note", full)
     ready.worker.ask("note", text="water 22 degrees")
     ready.wait(lambda now: "disk is full" in now.problem)
@@ -370,7 +370,7 @@ def test_a_note_that_cannot_be_written_stops_nothing(
 
 
 def test_a_link_that_is_lost_comes_back(ready: Tank) -> None:
-    ready.ask("swim", ritual=False)
+    ready.ask("swim", preflight=False)
     ready.decide("keep")
     name = ready.worker.now.experiment
     tries: list[int] = []
@@ -391,18 +391,18 @@ def test_a_link_that_is_lost_comes_back(ready: Tank) -> None:
     go.set()
     now = ready.wait(lambda now: now.phase == "idle")
     assert (now.problem, now.experiment, len(now.rows)) == ("", name, 1)
-    assert ready.ask("swim", ritual=False).recorded is not None
+    assert ready.ask("swim", preflight=False).recorded is not None
 
 
 def test_a_link_lost_while_deciding_keeps_the_decision(ready: Tank) -> None:
-    ready.ask("swim", ritual=False)
+    ready.ask("swim", preflight=False)
     ready.lines[-1].cut = True
     connected = len(ready.lines)
     ready.worker.ask("decide", kind="keep")
     now = ready.wait(lambda now: now.phase == "idle" and len(ready.lines) > connected)
     assert now.pending == 1
     assert ready.journal("decided")[-1]["decision"] == "keep"
-    now = ready.ask("swim", ritual=False)  # the old one is settled without asking again
+    now = ready.ask("swim", preflight=False)  # the old one is settled without asking again
     assert now.recorded is not None
     assert now.recorded.outcome.number == 2
     assert now.rows[0].learned
@@ -410,7 +410,7 @@ def test_a_link_lost_while_deciding_keeps_the_decision(ready: Tank) -> None:
 
 def test_closing_in_the_middle_of_a_swim_stops_the_tail(ready: Tank) -> None:
     ready.on_beat = lambda beat: ready.worker._asks.close() if beat == 2 else None
-    ready.worker.ask("swim", ritual=False)
+    ready.worker.ask("swim", preflight=False)
     ready.worker._thread.join(PATIENCE_S)
     assert not ready.worker._thread.is_alive()
     assert ready.board.world.truth().pulse_ticks == 0
@@ -433,7 +433,7 @@ def test_a_board_that_starts_again_is_greeted_anew(ready: Tank) -> None:
 
 
 def test_a_board_that_has_lost_all_is_not_begun_anew_in_silence(ready: Tank) -> None:
-    ready.ask("swim", ritual=False)
+    ready.ask("swim", preflight=False)
     ready.decide("keep")
     ready.board = SimBoard("tank", seed=1)  # the same fish, with nothing in its memory
     connected = len(ready.lines)
@@ -466,18 +466,18 @@ def test_silence_is_told_by_the_wall_clock(tank: Tank) -> None:
 
 
 def test_only_listed_logs_are_given_out(ready: Tank) -> None:
-    ready.ask("swim", ritual=False)
+    ready.ask("swim", preflight=False)
     assert ready.worker.raw_file("0001.ulg") is not None
     for name in ("SHA256SUMS", "../settings.json", "reference.bin", "0002.ulg", ""):
         assert ready.worker.raw_file(name) is None
 
 
-def test_the_ritual_may_be_set(tmp_path: Path) -> None:
+def test_the_preflight_may_be_set(tmp_path: Path) -> None:
     tank = Tank(tmp_path / "experiments")
     tank.worker.wanted = PreflightLimits(rest_s=0.0, still_s=2.0, countdown_s=1.0)
     tank.worker.start()
     tank.wait(lambda now: now.phase == "idle")
     tank.ask("upload", reference=from_text(SHORT))
-    now = tank.ask("swim", ritual=True)
+    now = tank.ask("swim", preflight=True)
     assert any("over 2 s" in line for line in now.log)
     tank.worker.close()
