@@ -18,8 +18,8 @@ from tailbeat.experiment.current import note_set
 from tailbeat.experiment.export import missing_formats
 from tailbeat.experiment.folder import Experiment, list_experiments
 from tailbeat.experiment.library import DISCARDED, library_of, read_trials
-from tailbeat.experiment.store import Kept
 from tailbeat.experiment.redo import write_redo
+from tailbeat.experiment.store import Kept
 from tailbeat.learning.assessment import Progress, progress_of
 from tailbeat.learning.identification import Identified
 from tailbeat.report.figures.convergence import draw_progress

@@ -6,9 +6,9 @@ import asyncio
 from typing import Any
 
 import pytest
-from tailbeat.app.web.page import reference_of_csv, reference_of_text
 
 from tailbeat.app.web.access import Access, is_loopback, new_token
+from tailbeat.app.web.page import reference_of_csv, reference_of_text
 from tailbeat.app.web.server import reached_at
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import thesis
