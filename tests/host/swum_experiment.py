@@ -10,9 +10,8 @@ import numpy as np
 
 from tailbeat.board.fish import Fish
 from tailbeat.core.reference import Reference
-from tailbeat.experiment.board_state import copy_state
 from tailbeat.experiment.current import make
-from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.folder import Experiment, copy_state
 from tailbeat.session.trial import run_trial
 
 BEATS = 12

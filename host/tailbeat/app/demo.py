@@ -29,8 +29,7 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.experiment.board_state import copy_state
-from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.folder import Experiment, copy_state
 from tailbeat.experiment.redo import write_redo
 from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config

@@ -30,8 +30,7 @@ from tailbeat.core.locks import locked
 from tailbeat.core.param_names import with_current_names
 from tailbeat.core.records import record_crc
 from tailbeat.core.reference import Reference, from_text, thesis
-from tailbeat.experiment.board_state import expected_params, held_state, set_held_params
-from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.folder import Experiment, expected_params, held_state, set_held_params
 from tailbeat.experiment.journal import Journal
 from tailbeat.experiment.library import library_of, preserve_folder
 from tailbeat.experiment.redo import write_redo

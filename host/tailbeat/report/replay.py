@@ -20,10 +20,8 @@ from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.speed_source import speed_source
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.analysis import ANALYSIS, Analysis, analyse, write_analysis
-from tailbeat.experiment.board_state import held_state
-from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.redo import write_redo
-from tailbeat.experiment.relearn import relearn
+from tailbeat.experiment.folder import Experiment, held_state
+from tailbeat.experiment.redo import relearn, write_redo
 from tailbeat.report.paper import MADE, MAKERS, made_with, write_report
 
 __all__ = ["Replay", "replay", "write_redo"]

@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, Refused, TailbeatError
 from tailbeat.core.faults import WRONG_STATE, fault_info
-from tailbeat.experiment.board_state import copy_state
 from tailbeat.experiment.current import current, require_meant, require_meant_here, swims_for
+from tailbeat.experiment.folder import copy_state
 from tailbeat.experiment.library import DISCARDED, library_of
 from tailbeat.experiment.redo import write_redo
 from tailbeat.learning.assessment import rollback_words

@@ -15,9 +15,8 @@ from tailbeat.core.faults import NO_BEST, refusal
 from tailbeat.core.frames import Camera
 from tailbeat.core.records import decode_learned, record_crc
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.experiment.board_state import copy_state, expected_params, held_state
 from tailbeat.experiment.current import note_restored, reference_of, strayed, use
-from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.folder import Experiment, copy_state, expected_params, held_state
 from tailbeat.experiment.library import identified_if_readable, library_of, preserve_folder
 from tailbeat.learning.assessment import series_of
 from tailbeat.learning.convergence import input_crc

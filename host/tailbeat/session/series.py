@@ -10,9 +10,8 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.faults import ABORT_COMMAND, BATTERY_CRITICAL, BATTERY_LOW, REBOOT, fault_info
 from tailbeat.core.frames import Camera
-from tailbeat.experiment.board_state import copy_state, require_not_lost
 from tailbeat.experiment.current import require_meant, require_own, require_same
-from tailbeat.experiment.folder import Experiment, alone
+from tailbeat.experiment.folder import Experiment, alone, copy_state, require_not_lost
 from tailbeat.experiment.library import library_of
 from tailbeat.experiment.redo import write_redo
 from tailbeat.learning.convergence import Assessment

@@ -19,7 +19,7 @@ from tailbeat.core.native import ffi, lib
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.analysis import Analysis, _judges_gaps
 from tailbeat.experiment.journal import Told
-from tailbeat.experiment.relearn import _Board, relearn
+from tailbeat.experiment.redo import _Board, relearn
 from tailbeat.experiment.trial_rows import rows_of
 from tailbeat.learning.assessment import progress_of, scores_of
 from tailbeat.learning.convergence import (

@@ -25,10 +25,9 @@ from tailbeat.core.reference import from_csv
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.analysis import analyse
-from tailbeat.experiment.board_state import held_state
 from tailbeat.experiment.current import current, strayed
 from tailbeat.experiment.export import export
-from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.folder import Experiment, held_state
 from tailbeat.experiment.library import FOLDER_VARIABLE, TrialLibrary
 from tailbeat.learning.identification import Identified, read_steady_speeds
 from tailbeat.link.keystore import KeyStore, decode_key

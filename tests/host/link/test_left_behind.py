@@ -23,9 +23,8 @@ from tailbeat.board.preserve import preserved
 from tailbeat.board.snapshot import Snapshot
 from tailbeat.core import records
 from tailbeat.core.errors import InputError, TailbeatError
-from tailbeat.experiment.board_state import copy_state, held_state
 from tailbeat.experiment.current import begin, current
-from tailbeat.experiment.folder import Experiment, alone
+from tailbeat.experiment.folder import Experiment, alone, copy_state, held_state
 from tailbeat.experiment.library import library_of, preserve_folder
 from tailbeat.session import preflight, series
 from tailbeat.session.events import Event

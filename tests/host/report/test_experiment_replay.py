@@ -125,9 +125,9 @@ def test_learning_that_never_happened_is_found(copy: Experiment, tmp_path: Path)
 
 
 def test_a_board_state_of_another_history_is_found(copy: Experiment, tmp_path: Path) -> None:
-    from tailbeat.experiment import board_state
+    from tailbeat.experiment import folder
 
-    state = board_state.held_state(copy)
+    state = folder.held_state(copy)
     assert state is not None
     assert state.learned is not None
     learned = bytearray(state.learned)

@@ -17,10 +17,9 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.reference import Reference
 from tailbeat.experiment.analysis import analyse
-from tailbeat.experiment.board_state import held_state
 from tailbeat.experiment.current import begin
-from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.relearn import relearn
+from tailbeat.experiment.folder import Experiment, held_state
+from tailbeat.experiment.redo import relearn
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.collect import keep_log, outcome_of, proposed_decision, record_of
 from tailbeat.session.events import Event

@@ -17,8 +17,8 @@ from tailbeat.app.cli.app import app
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
 from tailbeat.core.trial_checks import HeadingDrift
-from tailbeat.experiment.board_state import copy_state
 from tailbeat.experiment.current import begin
+from tailbeat.experiment.folder import copy_state
 from tailbeat.learning import fit
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified

@@ -24,9 +24,8 @@ from tailbeat.board.fish import Fish
 from tailbeat.board.snapshot import Snapshot
 from tailbeat.core import records, reference
 from tailbeat.core.errors import InputError, TailbeatError
-from tailbeat.experiment.board_state import copy_state, held_state
 from tailbeat.experiment.current import begin, current, is_interrupted, note_set, strayed, use
-from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.folder import Experiment, copy_state, held_state
 from tailbeat.link.messages import BeatEvent, LearnReport
 from tailbeat.session.change import FishChange, change_of
 from tailbeat.session.collect import keep_log, outcome_of, record_of

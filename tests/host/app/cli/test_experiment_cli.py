@@ -22,7 +22,6 @@ from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.records import encode_reference
 from tailbeat.core.reference import from_text
 from tailbeat.experiment.analysis import set_conditions, write_analysis
-from tailbeat.experiment.board_state import copy_state, held_state
 from tailbeat.experiment.current import (
     begin,
     current,
@@ -32,7 +31,7 @@ from tailbeat.experiment.current import (
     require_same,
     use,
 )
-from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.folder import Experiment, copy_state, held_state
 from tailbeat.report.paper import Written
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
