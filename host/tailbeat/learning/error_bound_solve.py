@@ -23,7 +23,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.planner import box_step
-from tailbeat.sim.config import PLANTS, config_field
+from tailbeat.sim.config import DEFAULT_SEED, make_config
 
 _DIFFERENCE = 1e-4  # of the largest w
 _TABLE_POINTS = 200
@@ -164,15 +164,9 @@ def plant_beats(config: Any, amplitude_rad: F64, beat_s: float) -> F64:
 
 
 def plant_config(plant: str, overrides: dict[str, float]) -> Any:
-    """``sim_config_t *`` of a plant with its disturbances left as they are (the bound ignores
-    them)."""
-
-    config = ffi.new("sim_config_t *")
-    lib.sim_config_default(config, PLANTS[plant])
-    for name, value in overrides.items():
-        if name != "seed":
-            setattr(config, config_field(name), value)
-    return config
+    """``sim_config_t *`` of a plant; ``overrides``: fields of it, ``seed`` may be among them."""
+    others = {name: value for name, value in overrides.items() if name != "seed"}
+    return make_config(plant, overrides.get("seed", DEFAULT_SEED), others)
 
 
 _STEPS_MAX = 60

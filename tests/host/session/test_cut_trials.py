@@ -88,7 +88,7 @@ def test_a_series_of_cut_trials_on_the_board(past: PastKind, params: dict[str, f
                 fish.clear()
             fish.upload_speeds(number, trials.speed_m_s[0], np.full(reference.beats, 1e-3))
             fish.learn()
-            rolled.append(batch.learn(trials).verdict)
+            rolled.append(batch.learn(trials)["verdict"])
             stored = np.clip(fish.amplitudes().values, 0, np.float32(law.amplitude_max_rad))
             assert np.array_equal(stored, batch.following()[0].astype(np.float32)), number
     assert any("rolled_back" in one for one in rolled) == (ratio > 0)

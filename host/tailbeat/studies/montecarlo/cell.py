@@ -15,7 +15,7 @@ from tailbeat.core import reference as references
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.reference import Reference
-from tailbeat.learning.error_bound import error_bound
+from tailbeat.learning.error_bound import ErrorBound, error_bound
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.feasible import suggest
 from tailbeat.learning.fish_model import FishModel
@@ -24,8 +24,8 @@ from tailbeat.studies.montecarlo import learners
 from tailbeat.studies.montecarlo.learners import (
     ROLLED_BACK,
     BatchLearner,
-    BatchReport,
     BatchTrials,
+    Columns,
     FishBatch,
 )
 from tailbeat.studies.montecarlo.recipe import (
@@ -124,8 +124,8 @@ def _trials(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
             amplitude = learner.following()
             reached = cell.noise.executed(cell.seeds, number, reference.beats)
             trials = batch.run(amplitude, number, reference.beat_s).cut(reached)
-            report = learner.learn(trials)
-            rows.add(amplitude, trials, reached, report, learner.bound_m_s)
+            report = learner.learn(trials) | {"predicted_floor_m_s": learner.bound_m_s}
+            rows.add(amplitude, trials, reached, report)
     return rows.table()
 
 
@@ -142,9 +142,7 @@ class _Ground:
     """What a plant and a reference are to each other."""
 
     reference: Reference
-    floor_minimax_m_s: float
-    floor_lsq_m_s: float
-    near_optimal_rad: F64
+    bound: ErrorBound
 
 
 Fish = list[dict[str, float]]
@@ -152,9 +150,8 @@ Phases = list[tuple[_Ground, int]]  # what is learned one after the other, each 
 
 
 def _ground_of(recipe: Recipe, cell: Cell, reference: str) -> _Ground:
-    values = cell.plant.values
-    if reference == REFERENCE_IDENTIFIED:
-        values = values | cell.noise.values
+    noise = cell.noise.values if reference == REFERENCE_IDENTIFIED else {}
+    values = cell.plant.values | noise
     return _ground(
         cell.plant.plant, tuple(sorted(values.items())), reference, recipe.amplitude_max_rad
     )
@@ -165,20 +162,13 @@ def _ground(
     plant: str, values: tuple[tuple[str, float], ...], name: str, amplitude_max_rad: float
 ) -> _Ground:
     config = plant_config(plant, dict(values))
-    wanted = _reference(plant, dict(values), name, amplitude_max_rad)
-    found = error_bound(config, wanted, amplitude_max_rad)
-    return _Ground(
-        wanted,
-        found.minimax_m_s,
-        found.lsq_max_abs_m_s,
-        found.lsq_input.astype(np.float64),
-    )
+    reference = _reference(plant, dict(values), name, amplitude_max_rad)
+    return _Ground(reference, error_bound(config, reference, amplitude_max_rad))
 
 
 def _reference(
     plant: str, values: dict[str, float], name: str, amplitude_max_rad: float
 ) -> Reference:
-
     if name not in REFERENCES_FEASIBLE:
         return references.from_text(name)
     thesis = references.thesis()
@@ -195,7 +185,7 @@ def _reference(
 
 
 def _fixed(recipe: Recipe, cell: Cell, fish: Fish, ground: _Ground) -> BatchLearner:
-    return learners.FixedInput(ground.near_optimal_rad, len(fish))
+    return learners.FixedInput(ground.bound.lsq_input.astype(np.float64), len(fish))
 
 
 def _board(recipe: Recipe, cell: Cell, fish: Fish, ground: _Ground) -> BatchLearner:
@@ -258,29 +248,19 @@ class _Rows:
         amplitude: F64,
         trials: BatchTrials,
         executed: NDArray[np.int64],
-        report: BatchReport,
-        bound_m_s: F64,
+        report: Columns,
     ) -> None:
-        """A trial executed for ``executed`` beats; ``bound_m_s``: as it was predicted before."""
+        """A trial executed for ``executed`` beats."""
         at_limit = amplitude >= np.float32(self.amplitude_max_rad) * (1 - 1e-7)
-        low, middle, high = report.predicted_m_s
         self._put(
             self._errors(self.wanted - trials.speed_m_s, self.wanted - trials.true_m_s)
-            | self._bounds(amplitude, trials.true_m_s, executed),
-            predicted_floor_m_s=bound_m_s,
+            | self._bounds(amplitude, trials.true_m_s, executed)
+            | report,
             saturated_beats=at_limit.sum(axis=1),
-            predicted_low_m_s=low,
-            predicted_max_abs_error_m_s=middle,
-            predicted_high_m_s=high,
-            ratio_low=report.ratio[0],
-            ratio_high=report.ratio[1],
-            gain_rad_s_m=report.gain_rad_s_m,
-            lead_beats=report.lead_beats,
-            swum_law=report.law,
-            verdict=report.verdict,
         )
         self._before = amplitude
-        self._made_by_law = np.broadcast_to(np.array(report.verdict) != ROLLED_BACK, self.fish)
+        verdict = np.array(report.get("verdict", ""))
+        self._made_by_law = np.broadcast_to(verdict != ROLLED_BACK, self.fish)
 
     def failed(self, ground: _Ground, iterations: int, why: str) -> None:
         """Nothing is known of any trial."""
@@ -331,8 +311,8 @@ class _Rows:
                 "seed": cell.seeds,
                 "reference": ground.reference.name,
                 "kappa_per_m": self.kappa_per_m,
-                "floor_minimax_m_s": ground.floor_minimax_m_s,
-                "floor_lsq_m_s": ground.floor_lsq_m_s,
+                "floor_minimax_m_s": ground.bound.minimax_m_s,
+                "floor_lsq_m_s": ground.bound.lsq_max_abs_m_s,
             }
         )  # fmt: skip
 

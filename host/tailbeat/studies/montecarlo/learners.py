@@ -9,7 +9,7 @@ are taught with the very functions that a real fish is taught with.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
 
@@ -25,13 +25,14 @@ from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import Reference
 from tailbeat.learning.convergence import Score, assess, input_crc
 from tailbeat.learning.design import design
+from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.fish_model import SIGMA_M_S, FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import Limits, identify_runs
 from tailbeat.learning.law_prediction import next_ratio
 from tailbeat.learning.model_law import propose
 from tailbeat.learning.planner import plan
-from tailbeat.sim.config import make_config, senseless
+from tailbeat.sim.config import senseless
 from tailbeat.studies.montecarlo.recipe import LawSpec
 
 ROLLED_BACK = "rolled_back"  # what the board's law reports when it brought the best back
@@ -64,14 +65,10 @@ class FishBatch:
         self._count = len(fish)
         self._configs: Any = ffi.new("sim_config_t[]", max(1, self._count))
         for index, settings in enumerate(fish):
-            others = {name: value for name, value in settings.items() if name != "seed"}
-            config = make_config(plant, settings.get("seed", 1), others)
+            config = plant_config(plant, settings)
             if not lib.sim_config_valid(config):
                 raise senseless()
             self._configs[index] = config[0]
-
-    def __len__(self) -> int:
-        return self._count
 
     def run(
         self, amplitude_rad: F64, number: int | NDArray[np.uint32], beat_s: float = 1.0
@@ -103,22 +100,8 @@ class FishBatch:
         return ffi.new("sim_config_t *", self._configs[range(self._count)[index]])
 
 
-@dataclass
-class BatchReport:
-    """What a law reports of one trial; arrays (fish,), NaN or "" where it reports nothing."""
-
-    predicted_m_s: F64  # max|e|: 5 %, median, 95 %; shape (3, fish)
-    ratio: F64  # (2, fish): the predicted range of max|e| over that of the trial before
-    gain_rad_s_m: F64
-    lead_beats: F64
-    law: str | list[str] = ""
-    verdict: str | list[str] = ""
-
-    @classmethod
-    def nothing(cls, fish: int) -> BatchReport:
-        """Of a law that predicts and changes nothing."""
-        none = np.full(fish, np.nan)
-        return cls(np.full((3, fish), np.nan), np.full((2, fish), np.nan), none, none)
+Columns = dict[str, Any]
+"""Columns of the results, each one value or shape (fish,)."""
 
 
 class BatchLearner:
@@ -136,8 +119,8 @@ class BatchLearner:
         """The amplitudes of the next iteration, (fish, beats), rad, as the tail executes them."""
         raise NotImplementedError
 
-    def learn(self, trials: BatchTrials) -> BatchReport:
-        """Learns from the trial of them."""
+    def learn(self, trials: BatchTrials) -> Columns:
+        """Learns from the trial of them; what it reports of it."""
         raise NotImplementedError
 
 
@@ -151,10 +134,8 @@ class FixedInput(BatchLearner):
     def following(self) -> F64:
         return np.tile(self.amplitude_rad, (self.fish, 1))
 
-    def learn(self, trials: BatchTrials) -> BatchReport:
-        report = BatchReport.nothing(self.fish)
-        report.law = "fixed"
-        return report
+    def learn(self, trials: BatchTrials) -> Columns:
+        return {"swum_law": "fixed"}
 
 
 class BoardLaw(BatchLearner):
@@ -183,7 +164,7 @@ class BoardLaw(BatchLearner):
         most = np.array([[np.float32(law.amplitude_max_rad)] for law in self.laws])
         return np.clip(rows, 0.0, most)
 
-    def learn(self, trials: BatchTrials) -> BatchReport:
+    def learn(self, trials: BatchTrials) -> Columns:
         """A fish without any speed keeps its amplitudes; a trial without a speed in its last beat
         counts as cut short."""
         back = []
@@ -192,12 +173,12 @@ class BoardLaw(BatchLearner):
             if measured.any():
                 memory.learn(law, error, measured, bool(measured[-1]), self.rollback_ratio)
             back.append(ROLLED_BACK if measured.any() and memory.rolled_back else "")
-        report = BatchReport.nothing(self.fish)
-        report.gain_rad_s_m = np.array([law.kp_rad_s_m for law in self.laws])
-        report.lead_beats = np.array([float(law.lead_beats) for law in self.laws])
-        report.law = "p" if self.past == "last" else self.past
-        report.verdict = back if self.rollback_ratio > 0 else ""
-        return report
+        return {
+            "gain_rad_s_m": [law.kp_rad_s_m for law in self.laws],
+            "lead_beats": [float(law.lead_beats) for law in self.laws],
+            "swum_law": "p" if self.past == "last" else self.past,
+            "verdict": back if self.rollback_ratio > 0 else "",
+        }
 
 
 class _IdentifiedFish(BatchLearner):
@@ -213,7 +194,7 @@ class _IdentifiedFish(BatchLearner):
 
     def begin(self, reference: Reference) -> None:
         self._reference = reference
-        self._judges = [ConvergenceJudge(reference) for _ in self.identified]
+        self._scores: list[list[Score]] = [[] for _ in self.identified]
         self.bound_m_s = self._bounds([one.model for one in self.identified])
 
     def _bounds(self, models: Sequence[FishModel]) -> F64:
@@ -226,7 +207,9 @@ class _IdentifiedFish(BatchLearner):
         """The trials of the last amplitudes, and the kinds of their assessments."""
         reference = self._reference
         rows = speeds_of(trials, self._amplitude, reference.beat_s, reference.crc)
-        return rows, [one.kind(row) for one, row in zip(self._judges, rows, strict=True)]
+        for scores, row in zip(self._scores, rows, strict=True):
+            scores.append(_score(row, len(scores) + 1, reference))
+        return rows, [assess(scores).kind for scores in self._scores]
 
     _amplitude: F64
 
@@ -260,11 +243,11 @@ class DesignedLaw(_IdentifiedFish):
             )
         return self._amplitude
 
-    def learn(self, trials: BatchTrials) -> BatchReport:
+    def learn(self, trials: BatchTrials) -> Columns:
         report = self._board.learn(trials)
-        self._before, report.verdict = self._assessed(trials)
-        report.ratio = self._ratio
-        return report
+        self._before, kinds = self._assessed(trials)
+        ratio = dict(zip(("ratio_low", "ratio_high"), self._ratio, strict=True))
+        return report | ratio | {"verdict": kinds}
 
 
 class ModelBasedLaw(_IdentifiedFish):
@@ -287,40 +270,26 @@ class ModelBasedLaw(_IdentifiedFish):
         self._amplitude = np.clip([one.amplitude_rad for one in self._proposals], 0, most)
         return self._amplitude
 
-    def learn(self, trials: BatchTrials) -> BatchReport:
-        rows, verdicts = self._assessed(trials)
+    def learn(self, trials: BatchTrials) -> Columns:
+        rows, kinds = self._assessed(trials)
         for kept, row in zip(self._trials, rows, strict=True):
             kept.append(row)
-        predicted = [one.predicted_max_abs_error_m_s for one in self._proposals]
-        report = BatchReport.nothing(self.fish)
-        report.predicted_m_s = np.array(predicted).T
-        report.law, report.verdict = [one.law for one in self._proposals], verdicts
-        return report
+        names = ("predicted_low_m_s", "predicted_max_abs_error_m_s", "predicted_high_m_s")
+        quantiles = np.array([one.predicted_max_abs_error_m_s for one in self._proposals]).T
+        laws = [one.law for one in self._proposals]
+        return {**dict(zip(names, quantiles, strict=True)), "swum_law": laws, "verdict": kinds}
 
 
-@dataclass
-class ConvergenceJudge:
-    """Assesses the trials of one fish."""
-
-    reference: Reference
-    scores: list[Score] = field(default_factory=list)
-
-    def kind(self, trial: TrialSpeeds) -> str:
-        """The kind of the assessment of a trial."""
-        error = self.reference.speed_m_s - trial.speed_m_s
-        largest = float(np.nanmax(np.abs(error))) if trial.measured.any() else float("nan")
-        number = len(self.scores) + 1
-        self.scores.append(
-            Score(
-                trial=number,
-                iteration=number,
-                input_crc=input_crc(trial.amplitude_rad.astype(np.float32)),
-                max_abs_error_m_s=largest,
-                judged=judging.counts(error.astype(np.float32), bool(trial.measured[-1])),
-                error_m_s=error.astype(np.float32),
-            )
-        )
-        return assess(self.scores).kind
+def _score(trial: TrialSpeeds, number: int, reference: Reference) -> Score:
+    error = reference.speed_m_s - trial.speed_m_s
+    return Score(
+        trial=number,
+        iteration=number,
+        input_crc=input_crc(trial.amplitude_rad),
+        max_abs_error_m_s=float(np.nanmax(np.abs(error))) if trial.measured.any() else np.nan,
+        judged=judging.counts(error.astype(np.float32), bool(trial.measured[-1])),
+        error_m_s=error.astype(np.float32),
+    )
 
 
 def speeds_of(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 FAILED = "failed"  # the verdict on a fish that could not be identified or taught
 
-_TEXT = ("plant", "law", "noise", "corner", "reference", "swum_law", "verdict", "failure")
+TEXT_COLUMNS = ("plant", "law", "noise", "corner", "reference", "swum_law", "verdict", "failure")
 _WHOLE = ("seed", "iteration", "saturated_beats", "measured_beats", "executed_beats")
 _NUMBER = (
     "kappa_per_m",
@@ -57,7 +57,7 @@ def schema() -> pa.Schema:
     """The columns of the results."""
     types = arrow()
     return types.schema(
-        [(name, types.string()) for name in _TEXT]
+        [(name, types.string()) for name in TEXT_COLUMNS]
         + [(name, types.int64()) for name in _WHOLE]
         + [(name, types.float64()) for name in _NUMBER]
     )

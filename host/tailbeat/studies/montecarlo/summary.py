@@ -6,8 +6,8 @@ The figure of a Monte Carlo study: true max|e| over the iterations, with a 90 % 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import cycle, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.report.style import ACCENT, GREY, Axes, Figure, mpl_ticker, picture
 from tailbeat.studies.montecarlo.recipe import BY_REPEATS, ClaimSpec, Recipe
-from tailbeat.studies.montecarlo.results import FAILED
+from tailbeat.studies.montecarlo.results import FAILED, TEXT_COLUMNS
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -39,21 +39,27 @@ _LAST = slice(-3, None)
 
 @dataclass(frozen=True)
 class Rows:
-    """Columns of results as arrays of one length. ``codes``: of the columns that rows have been
-    chosen by, their values and which of them each row has; comparing texts row by row is slow."""
+    """Columns of results as arrays of one length. A column of text holds places in its list in
+    ``texts``; comparing texts row by row is slow."""
 
     columns: dict[str, NDArray[Any]]
-    codes: dict[str, tuple[NDArray[Any], NDArray[np.int64]]] = field(default_factory=dict)
+    texts: dict[str, list[str]]
 
     @classmethod
     def of(cls, table: pa.Table) -> Rows:
         """With the derived columns."""
-        columns = {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
-        floor = columns["floor_lsq_m_s"]
+        columns, texts = {}, {}
+        for name in table.column_names:
+            column = table[name].combine_chunks()
+            if name in TEXT_COLUMNS:
+                column = column.dictionary_encode()
+                texts[name], column = column.dictionary.to_pylist(), column.indices
+            columns[name] = column.to_numpy(zero_copy_only=False)
         for name, of, low, high in _RANGES:
             columns[name] = _inside(columns[of], columns[low], columns[high])
-        columns["floor_prediction_error"] = np.abs(columns["predicted_floor_m_s"] / floor - 1)
-        return cls(columns)
+        bound = columns["floor_lsq_m_s"]
+        columns["floor_prediction_error"] = np.abs(columns["predicted_floor_m_s"] / bound - 1)
+        return cls(columns, texts)
 
     def __len__(self) -> int:
         return len(self.columns["seed"])
@@ -61,27 +67,17 @@ class Rows:
     @property
     def failures(self) -> Rows:
         """One row of every fish that could not be identified or taught."""
-        failed = self.where(self.columns["verdict"] == FAILED)
-        keys = list(zip(*(failed.columns[name].tolist() for name in (*FISH, "seed")), strict=True))
-        _, first = np.unique([str(key) for key in keys], return_index=True)
-        return failed.where(np.isin(np.arange(len(failed)), first))
+        failed = self.select({"verdict": FAILED})
+        keys = np.column_stack([failed.columns[name] for name in (*FISH, "seed")])
+        return failed.where(np.sort(np.unique(keys, axis=0, return_index=True)[1]))
 
-    def where(self, mask: NDArray[np.bool_]) -> Rows:
-        """Some of them."""
-        return Rows(
-            {name: values[mask] for name, values in self.columns.items()},
-            {name: (values, which[mask]) for name, (values, which) in self.codes.items()},
-        )
+    def where(self, chosen: NDArray[Any]) -> Rows:
+        """Some of them, by a mask or by places."""
+        return Rows({name: all_[chosen] for name, all_ in self.columns.items()}, self.texts)
 
-    def only(self, names: Iterable[str]) -> Rows:
-        """All of them, with some columns."""
-        there = {name: self.columns[name] for name in names}
-        return Rows(there, {name: self._coded(name) for name in GROUP})
-
-    def _coded(self, name: str) -> tuple[NDArray[Any], NDArray[np.int64]]:
-        if name not in self.codes:
-            self.codes[name] = np.unique(self.columns[name], return_inverse=True)
-        return self.codes[name]
+    def words(self, name: str) -> list[str]:
+        """A column of text."""
+        return [self.texts[name][place] for place in self.columns[name]]
 
     def select(self, wanted: dict[str, Any]) -> Rows:
         """Those whose columns have one of the values; ``word*``: that begin with it."""
@@ -89,20 +85,18 @@ class Rows:
         for name, values in wanted.items():
             many = values if isinstance(values, list) else [values]
             begins = tuple(str(one)[:-1] for one in many if str(one).endswith("*"))
-            there, which = self._coded(name)
-            chosen = [one in many or str(one).startswith(begins) for one in there.tolist()]
-            mask &= np.array(chosen, dtype=bool)[which]
+            chosen = [one in many or one.startswith(begins) for one in self.texts[name]]
+            mask &= np.array(chosen, dtype=bool)[self.columns[name]]
         return self.where(mask)
 
-    def groups(self, by: tuple[str, ...] = GROUP) -> Iterator[tuple[Group, Rows]]:
+    def groups(self) -> Iterator[tuple[Group, Rows]]:
         """In the order in which they come."""
         if not len(self):
             return
-        coded = [self._coded(name) for name in by]
-        rows = np.stack([which for _, which in coded], axis=1)
+        rows = np.column_stack([self.columns[name] for name in GROUP])
         keys, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
         for i in np.argsort(first):
-            key = tuple(str(values[code]) for (values, _), code in zip(coded, keys[i], strict=True))
+            key = tuple(self.texts[name][place] for name, place in zip(GROUP, keys[i], strict=True))
             yield key, self.where(which.ravel() == i)
 
     def grid(self, name: str) -> F64:
@@ -177,10 +171,10 @@ def summarise(recipe: Recipe, table: pa.Table) -> StudySummary:
 
 
 def _failures(rows: Rows) -> list[str]:
-    names = (*FISH, "seed", "failure")
+    texts = (rows.words(name) for name in (*FISH, "failure"))
     return [
         f"{' / '.join(filter(None, words))}, seed {seed}: {failure}"
-        for *words, seed, failure in zip(*(rows.columns[name] for name in names), strict=True)
+        for seed, *words, failure in zip(rows.columns["seed"], *texts, strict=True)
     ]
 
 
@@ -193,13 +187,13 @@ def _inside(value: F64, low: F64, high: F64) -> F64:
 def _line(key: Group, rows: Rows) -> GroupSummary:
     fish = len(np.unique(rows.columns["seed"]))
     failed = len(rows.failures)
-    swam = rows.where(rows.columns["verdict"] != FAILED) if failed < fish else rows
+    swam = rows.where(np.array(rows.words("verdict")) != FAILED) if failed < fish else rows
     true = swam.grid("true_max_abs_error_m_s")
     low, median, high = np.percentile(true, [5, 50, 95], axis=0)
     names: dict[str, Any] = dict(zip(GROUP, key, strict=True))
     return GroupSummary(
         **names,
-        fixed="fixed" in rows.columns["swum_law"],
+        fixed="fixed" in rows.words("swum_law"),
         fish=fish,
         failed=failed,
         floor_minimax_m_s=float(rows.columns["floor_minimax_m_s"][0]),
@@ -222,8 +216,8 @@ def _known_median(grid: F64) -> F64:
 
 def judge(claim: ClaimSpec, rows: Rows) -> ClaimResult:
     """A claim about results. Without any row that it speaks of it does not hold."""
-    needed = {*GROUP, "seed", "iteration", claim.of, *([claim.over] if claim.over else [])}
-    rows = rows.only(sorted(needed))
+    needed = {*GROUP, "seed", "iteration", claim.of, *filter(None, [claim.over])}
+    rows = Rows({name: rows.columns[name] for name in sorted(needed)}, rows.texts)
     chosen = rows.select(claim.where)
     groups = [(("all",), chosen)] if claim.pool else list(chosen.groups())
     figures: dict[str, float] = {}
@@ -288,7 +282,7 @@ def _figure(claim: ClaimSpec, rows: Rows, against: bool = False) -> float:
 def _reached(rows: Rows, values: F64, level: float) -> float:
     """Median over fish of the first iteration at which a value is at most ``level``, the one after
     the last for a fish that never got there."""
-    grid = Rows({**rows.columns, "value": values}).grid("value")
+    grid = Rows({**rows.columns, "value": values}, rows.texts).grid("value")
     reached = np.hstack([grid <= level, np.ones((len(grid), 1), dtype=bool)])
     first = int(rows.columns["iteration"].min())
     return float(np.median(first + np.argmax(reached, axis=1)))

@@ -9,7 +9,7 @@ import pytest
 
 from tailbeat.studies.montecarlo.cell import cells
 from tailbeat.studies.montecarlo.recipe import ClaimSpec, load, packaged
-from tailbeat.studies.montecarlo.results import schema
+from tailbeat.studies.montecarlo.results import DERIVED, schema
 from tailbeat.studies.montecarlo.summary import Rows, judge
 
 BOUNDS = {  # of each recipe's claims: statistic, iteration, at least, at most, for which plants
@@ -183,9 +183,11 @@ def _rows(**columns: object) -> Rows:
     length = max(len(np.atleast_1d(values)) for values in columns.values())
     fields = schema()
     filled = {one.name: np.full(length, "" if one.type == "string" else 0) for one in fields}
-    for name, values in columns.items():
-        filled[name] = np.broadcast_to(values, length)
-    return Rows(filled)
+    given = {name: np.broadcast_to(values, length) for name, values in columns.items()}
+    table = {one.name: pa.array((filled | given)[one.name], type=one.type) for one in fields}
+    rows = Rows.of(pa.table(table))
+    rows.columns.update({name: given[name] for name in DERIVED if name in given})
+    return rows
 
 
 def _claim(**values: object) -> ClaimSpec:
@@ -242,8 +244,7 @@ def test_predictions_are_judged_by_what_was_measured() -> None:
         floor_lsq_m_s=1.0,
         predicted_high_m_s=[2.5, 2.5, 2.5, 2.5],
     )
-    inside = Rows.of(pa.table(rows.columns)).columns["prediction_inside"]
-    assert np.array_equal(inside, [0, 1, 0, np.nan], equal_nan=True)
+    assert np.array_equal(rows.columns["prediction_inside"], [0, 1, 0, np.nan], equal_nan=True)
 
 
 def test_settled_is_judged_by_the_end_of_repeats() -> None:
@@ -265,7 +266,9 @@ def test_settled_is_judged_by_the_end_of_repeats() -> None:
     assert np.isnan(judge(claim, rows.where(rows.columns["iteration"] < 10)).figure)
     lost = grid.ravel()
     lost[8] = np.nan
-    assert np.isnan(judge(claim, Rows({**rows.columns, "max_abs_error_m_s": lost})).figure)
+    assert np.isnan(
+        judge(claim, Rows({**rows.columns, "max_abs_error_m_s": lost}, rows.texts)).figure
+    )
 
 
 def test_monotone_is_judged_by_the_largest_rise_of_repeats() -> None:

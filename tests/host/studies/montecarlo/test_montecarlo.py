@@ -182,7 +182,7 @@ def test_the_batch_rolls_back_as_the_board_does() -> None:
     wanted = reference.speed_m_s.astype(np.float64)
     for error, verdict in ((0.02, ["", ""]), (0.03, ["", ""]), (0.03, ["rolled_back", ""])):
         speed = np.array([wanted - error, wanted - 0.01])
-        assert board.learn(BatchTrials(speed, speed, speed)).verdict == verdict
+        assert board.learn(BatchTrials(speed, speed, speed))["verdict"] == verdict
     assert np.array_equal(board.following()[0], best[0])
     assert (board.following()[1] > best[1]).any()
 
