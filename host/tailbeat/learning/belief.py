@@ -233,10 +233,7 @@ class Belief:
     @property
     def covariance(self) -> F64:
         """Of the model, as in Fit."""
-        if self.fit is not None:
-            return self.fit.covariance
-        p = self.prior
-        return np.diag([p.kappa, p.slope, p.dead_zone_rad, p.delay_s]) ** 2
+        return self.prior.covariance if self.fit is None else self.fit.covariance
 
     def after(self, trial: TrialSpeeds) -> Belief:
         """With one more trial. It is tested as if the model were as imperfect as usual: what some
@@ -257,15 +254,8 @@ class Belief:
         found, prior = max(zip(fits, priors, strict=True), key=lambda one: one[0].log_evidence)
         speeds = np.concatenate([trial.speed_m_s[trial.measured] for trial in trials])
         nonsense = found.rms_m_s > _MISFIT * float(np.sqrt(np.mean(speeds**2)))
-        return Belief(
-            self.identified,
-            prior,
-            trials,
-            found,
-            refuted or nonsense,
-            chance,
-            self.identified_imperfection,
-        )
+        refuted = refuted or nonsense
+        return replace(self, prior=prior, trials=trials, fit=found, refuted=refuted, chance=chance)
 
 
 def believe(identified: Identified, trials: Sequence[TrialSpeeds]) -> Belief:
@@ -281,10 +271,6 @@ def _prior(identified: Identified, far: tuple[float, ...]) -> Prior:
     """The identification's sigmas widened by how ``far`` the fish may be; what was only assumed is
     known no better than of any fish."""
     known = np.sqrt(np.diag(identified.covariance) + np.square(far))
-    unknown = Prior()
-    any_fish = (unknown.kappa, unknown.slope, unknown.dead_zone_rad, unknown.delay_s)
-    sigma = [
-        max(own, rough) if name in identified.assumed else own
-        for name, own, rough in zip(PARAMS, known.tolist(), any_fish, strict=True)
-    ]
-    return Prior(identified.model, *sigma)
+    assumed = [name in identified.assumed for name in PARAMS]
+    sigma = np.where(assumed, np.maximum(known, Prior().sigma), known)
+    return Prior(identified.model, *sigma.tolist())

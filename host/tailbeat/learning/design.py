@@ -26,6 +26,7 @@ from tailbeat.learning.law_prediction import (
     expected_series,
     input_norm,
     plants_of,
+    worst_ratio,
 )
 from tailbeat.learning.planner import Plan, plan
 
@@ -132,7 +133,7 @@ def design(
     )  # fmt: skip
     nominal = plan(identified.model, reference.speed_m_s, reference.beat_s, amplitude_max_rad)
     input_ratio, input_beats = _input_ratio(identified, nominal, plants, reference, law)
-    slow = plants.slow_ratio(chosen.gain, chosen.lead_beats, chosen.q_len)
+    slow = worst_ratio(plants.slow, chosen.gain, chosen.lead_beats, chosen.q_len)
     return Design(
         law=law,
         frequency_cycles=FREQUENCIES,
@@ -209,7 +210,7 @@ def _with_best_gain(
     largest ratio would be that of learning nothing: then it is the gain that is best at 0."""
 
     def choice(gain: float) -> _Choice:
-        return _Choice(gain, lead_beats, q_len, plants.ratio(gain, lead_beats, q_len))
+        return _Choice(gain, lead_beats, q_len, worst_ratio(plants.fast, gain, lead_beats, q_len))
 
     if gain is not None:
         return choice(gain)

@@ -65,8 +65,6 @@ class ErrorBound:
     lsq_rms_m_s: float
     minimax_input: F32
     lsq_input: F32
-    lsq_error_m_s: F64
-    where_s: float  # middle of the last beat with the largest remaining error of the minimax
     spots: tuple[Miss, ...]
 
 
@@ -92,17 +90,13 @@ def error_bound(
     task = _task(fish, reference, amplitude_max_rad, slew_rad)
     squares = least_squares(task)
     largest = minimax(task, task.start())
-    error, largest_error = task.error(squares), np.abs(task.error(largest))
-    value = float(largest_error.max())
-    last = float(np.flatnonzero(largest_error >= 0.999 * value)[-1])
+    error = task.error(squares)
     return ErrorBound(
-        minimax_m_s=value,
+        minimax_m_s=float(np.abs(task.error(largest)).max()),
         lsq_max_abs_m_s=float(np.abs(error).max()),
         lsq_rms_m_s=float(np.sqrt(np.mean(error**2))),
         minimax_input=task.plant.amplitude_rad(largest).astype(np.float32),
         lsq_input=task.plant.amplitude_rad(squares).astype(np.float32),
-        lsq_error_m_s=error,
-        where_s=(last + 0.5) * reference.beat_s,
         spots=_spots(task, squares, error, reference.beat_s),
     )
 

@@ -9,7 +9,6 @@ where their slopes are equal.
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,8 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from tailbeat.core.arrays import F64
+from tailbeat.core.csv import table_text
 from tailbeat.core.errors import InputError
-from tailbeat.core.files import replacing_text
+from tailbeat.core.files import replace_file
 from tailbeat.core.reference import Reference, ReferenceLimits, curve
 from tailbeat.learning.error_bound import NEGLIGIBLE_M_S, lsq_max_abs_m_s
 from tailbeat.learning.fish_model import FishModel
@@ -54,11 +54,9 @@ class Suggestion:
 
     def to_csv(self, path: Path) -> None:
         """Writes ``t_s,v_m_s``; ``reference.from_csv`` reads the very same reference."""
-        with replacing_text(path) as file:
-            out = csv.writer(file, lineterminator="\n")
-            out.writerow(["t_s", "v_m_s"])
-            for t, v in zip(self.t_s, self.v_m_s, strict=True):
-                out.writerow([repr(float(t)), f"{v:.{_DIGITS}f}"])
+        points = zip(self.t_s.tolist(), self.v_m_s, strict=True)
+        rows = [(repr(t), f"{v:.{_DIGITS}f}") for t, v in points]
+        replace_file(path, table_text(("t_s", "v_m_s"), rows))
 
 
 @dataclass(frozen=True)

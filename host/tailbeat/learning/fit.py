@@ -34,6 +34,16 @@ class Prior:
     dead_zone_rad: float = 0.08
     delay_s: float = 0.25
 
+    @property
+    def sigma(self) -> F64:
+        """In the order of PARAMS."""
+        return np.array([self.kappa, self.slope, self.dead_zone_rad, self.delay_s])
+
+    @property
+    def covariance(self) -> F64:
+        """As of a ``Fit``."""
+        return np.diag(self.sigma**2)
+
 
 @dataclass(frozen=True)
 class Scatter:
@@ -125,14 +135,14 @@ def bootstrap(
     models = []
     for _ in range(count):
         again = [
-            _swum_again(trial, found.model, residual, differ, rng)
+            _resampled(trial, found.model, residual, differ, rng)
             for trial, residual in zip(trials, found.residual_m_s, strict=True)
         ]
         models.append(fit(again, prior, scatter).model)
     return models
 
 
-def _swum_again(
+def _resampled(
     trial: TrialSpeeds, model: FishModel, residual: F64, differ: Scatter, rng: np.random.Generator
 ) -> TrialSpeeds:
     speed = model.beats(trial.amplitude_rad, trial.beat_s, differ.draw(rng))
@@ -175,9 +185,8 @@ class _Problem:
             max(scatter.flow_m_s, _SIGMA_MIN),
             max(scatter.gain, _SIGMA_MIN),
         ]
-        believed = [prior.kappa, prior.slope, prior.dead_zone_rad, prior.delay_s]
         self.centre = np.r_[vector_of(prior.model), np.zeros(_CONDITIONS * len(trials))]
-        self.spread = np.r_[believed, differ * len(trials)]
+        self.spread = np.r_[prior.sigma, differ * len(trials)]
         self.low = np.r_[math.log(_KAPPA_RANGE[0]), -np.inf, 0.0, 0.0,
                          [0.0, -np.inf, -np.inf] * len(trials)]  # fmt: skip
         beat_s = trials[0].beat_s

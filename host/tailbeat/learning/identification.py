@@ -26,7 +26,7 @@ from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import plain, replace_file
 from tailbeat.core.reference import THESIS_PLATEAU_M_S
 from tailbeat.learning.fish_model import PARAMS, FishModel, TrialSpeeds
-from tailbeat.learning.fit import Fit, Scatter, vector_of
+from tailbeat.learning.fit import Scatter, vector_of
 
 _FORMAT = "tailbeat identified 1"
 _REMEDY = "Identify the fish: tailbeat session identify --out FILE"
@@ -57,28 +57,6 @@ class Identified:
         low_high = {n: np.percentile(values, [2.5, 97.5]) for n, values in rows.items()}
         return {name: (float(low), float(high)) for name, (low, high) in low_high.items()}
 
-    @classmethod
-    def of(
-        cls,
-        found: Fit,
-        models: list[FishModel],
-        trials: list[TrialSpeeds],
-        source: str = "runs",
-        unique_id: str = "",
-        scatter: Scatter | None = None,
-    ) -> Identified:
-        """From a fit of ``trials`` and models as likely (fitting.bootstrap or fitting.sample)."""
-        return cls(
-            model=found.model,
-            models=models or [found.model],
-            covariance=found.covariance,
-            scatter=scatter or Scatter(),
-            source=source,
-            unique_id=unique_id,
-            made=datetime.now().astimezone().isoformat(timespec="seconds"),
-            trials=trials,
-        )
-
     def as_dict(self) -> dict[str, Any]:
         """What the file holds: JSON types, SI units; NaN as null."""
         names = ("unique_id", "made", "source", "assumed", "alpha_kg_m", "model", "band")
@@ -107,6 +85,11 @@ class Identified:
         except (OSError, ValueError) as error:
             raise InputError(f"cannot read {path} ({reason(error)}).", _REMEDY) from error
         return cls.from_dict(raw, f"{path} does not hold an identified fish")
+
+
+def now_text() -> str:
+    """The local time, for ``made``."""
+    return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 def _checked(raw: dict[str, Any]) -> dict[str, Any]:
@@ -302,7 +285,7 @@ def _identified(amplitude: F64, speed: F64, line: SpeedLine, alpha_kg_m: float) 
         covariance=np.cov(np.array([vector_of(one) for one in models]).T),
         source="table",
         assumed=ASSUMED,
-        made=datetime.now().astimezone().isoformat(timespec="seconds"),
+        made=now_text(),
         alpha_kg_m=alpha_kg_m,
     )
 

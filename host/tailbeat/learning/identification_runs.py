@@ -19,7 +19,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.learning import fit
 from tailbeat.learning.fish_model import FishModel, TrialSpeeds
 from tailbeat.learning.fit import Fit, Prior, Scatter, farthest, travel_m
-from tailbeat.learning.identification import Identified
+from tailbeat.learning.identification import Identified, now_text
 
 CRUISE, COAST = "cruise", "coast-down"
 FRACTIONS = (0.4, 0.7, 1.0)  # of the way from the dead zone to the limit: Table 8.1's, nearly
@@ -113,10 +113,7 @@ class IdentificationSeries:
     @property
     def covariance(self) -> F64:
         """Of (log kappa, log slope, dead zone, delay)."""
-        if self.found is not None:
-            return self.found.covariance
-        p = self.prior
-        return np.diag(np.square([p.kappa, p.slope, p.dead_zone_rad, p.delay_s]))
+        return self.prior.covariance if self.found is None else self.found.covariance
 
     def next_run(self) -> IdentificationRun:
         """The next run. Raises InputError when none fits, or nothing ever moves."""
@@ -266,4 +263,13 @@ def identify_swims(
         # Alone either is a little narrow: the bootstrap when a few trials happen to be alike, the
         # posterior when the model leaves something out.
         models += fit.bootstrap(trials, found, _MODELS, prior=prior, scatter=scatter)
-    return Identified.of(found, models, list(trials), source, unique_id, scatter)
+    return Identified(
+        model=found.model,
+        models=models,
+        covariance=found.covariance,
+        scatter=scatter,
+        source=source,
+        unique_id=unique_id,
+        made=now_text(),
+        trials=list(trials),
+    )

@@ -281,16 +281,9 @@ class Plants:
     speeds_m_s: tuple[float, float]
     slow_from_m_s: float
 
-    def ratio(self, gain: float, lead_beats: float, q_len: int) -> F64:
-        """|Q*(1 - gain*z**lead*G)| at FREQUENCIES, the worst of models and speeds."""
-        return _worst(self.fast, gain, lead_beats, q_len)
 
-    def slow_ratio(self, gain: float, lead_beats: float, q_len: int) -> F64:
-        """The same at the lower speeds."""
-        return _worst(self.slow, gain, lead_beats, q_len)
-
-
-def _worst(plants: Complex, gain: float, lead_beats: float, q_len: int) -> F64:
+def worst_ratio(plants: Complex, gain: float, lead_beats: float, q_len: int) -> F64:
+    """|Q*(1 - gain*z**lead*G)| at FREQUENCIES, the worst of ``plants``."""
     loops = plants * lead_response(lead_beats)
     squared = (1 - gain * loops.real) ** 2 + (gain * loops.imag) ** 2  # quicker than abs
     ratio: F64 = np.sqrt(squared.max(axis=0)) * np.abs(filter_response(q_len))
@@ -325,15 +318,12 @@ def plants_of(
     return Plants(at(fast), at(slow), (CRUISE * top, top), SLOW * top)
 
 
-def lead_matrix(beats: int, lead_beats: float, keep_tail: bool = False) -> F64:
-    """S: what the law reads of the errors, shape (beats, beats). Beyond the end it is the last
-    error, or nothing with ``keep_tail``."""
+def lead_matrix(beats: int, lead_beats: float) -> F64:
+    """S: what the law reads of the errors, shape (beats, beats); beyond the end the last error."""
     whole = math.floor(lead_beats)
     taps = (whole, whole) if lead_beats == whole else (whole, whole + 1)
     matrix = np.zeros((beats, beats))
     for k in range(beats):
-        if keep_tail and k + taps[1] > beats - 1:
-            continue
         for tap in taps:
             matrix[k, min(k + tap, beats - 1)] += 0.5
     return matrix
@@ -364,13 +354,12 @@ def input_norm(
     lead_beats: float,
     q_len: int,
     beats: NDArray[np.bool_],
-    keep_tail: bool = False,
 ) -> float:
     """||Q(I - gain*S*G)||_2 of one step from errors of the amplitudes of ``beats`` alone to those
     of all beats; G around the trial of ``amplitude_rad``. One step puts errors into other beats,
     too, so it says nothing of the next one."""
     count = len(amplitude_rad)
     jacobian = swim_jacobian(model, amplitude_rad, beat_s)
-    step = np.eye(count) - gain * lead_matrix(count, lead_beats, keep_tail) @ jacobian
+    step = np.eye(count) - gain * lead_matrix(count, lead_beats) @ jacobian
     matrix = filter_matrix(count, q_len) @ step
     return float(np.linalg.norm(matrix[:, beats], 2)) if beats.any() else 1.0

@@ -50,6 +50,18 @@ _WORDS = {
 
 
 @dataclass(frozen=True)
+class ModelStepSetting:
+    """What the fish learns: a reference within limits (``step_max_rad``: the most a beat's
+    amplitude may differ from that of the last trial of the reference, 0 = any). ``law``: the P law
+    that stands in for a refuted model."""
+
+    reference: Reference
+    amplitude_max_rad: float
+    step_max_rad: float = 0.0
+    law: Law = FALLBACK
+
+
+@dataclass(frozen=True)
 class Proposal:
     """The next input and why. ``law``: ``model``, or ``p`` when the model was refuted.
     ``low_m_s``/``high_m_s``: 90 % band of the beats' measured speeds. ``trials``: numbers of the
@@ -72,30 +84,24 @@ class Proposal:
 
 
 def propose(
-    identified: Identified,
-    reference: Reference,
-    amplitude_max_rad: float,
-    trials: Sequence[TrialSpeeds] = (),
-    fallback: Law | None = None,
-    step_max_rad: float = 0.0,
+    identified: Identified, setting: ModelStepSetting, trials: Sequence[TrialSpeeds] = ()
 ) -> Proposal:
     """``trials``: all that were executed since the identification, oldest first, of this reference
-    (by CRC) and others. ``fallback``: the P law (default: gain 4, lead 1 beat). ``step_max_rad``:
-    the most a beat's amplitude may differ from that of the last trial of this reference, 0 = any.
+    (by CRC) and others.
 
     Costs some 10 ms, and 15 ms per trial of 40 beats. Raises InputError when
     ``amplitude_max_rad`` makes no sense or a trial has other beats than the reference it names.
     """
     belief = believe(identified, trials)
-    wanted = reference.speed_m_s.astype(np.float64)
+    reference, step_max_rad = setting.reference, setting.step_max_rad
+    amplitude_max_rad = setting.amplitude_max_rad
     own = _swims_of(reference, trials)
     recorded = last_input(own, reference.beats)
     low, high = _limits(recorded, amplitude_max_rad, step_max_rad)
     law = "p" if belief.refuted and own else "model"
-    amplitude = _planned(belief, reference, amplitude_max_rad, low, high)
+    amplitude = _planned(belief, setting, low, high)
     if law == "p":
-        start = np.where(np.isfinite(recorded), recorded, amplitude)
-        amplitude = _p_step(fallback or FALLBACK, amplitude_max_rad, wanted, own[-1], start)
+        amplitude = _p_step(setting, own[-1], np.where(np.isfinite(recorded), recorded, amplitude))
     if step_max_rad > 0:
         amplitude = _ready(amplitude, belief.model, amplitude_max_rad)
     amplitude = np.clip(amplitude, low, high)
@@ -109,7 +115,7 @@ def propose(
         predicted_m_s=found.mean_m_s,
         low_m_s=band[0],
         high_m_s=band[1],
-        predicted_max_abs_error_m_s=found.max_abs_error(wanted),
+        predicted_max_abs_error_m_s=found.max_abs_error(reference.speed_m_s.astype(np.float64)),
         model=belief.model,
         disturbance_m_s=belief.disturbance(reference.crc, reference.beats)[0],
         law=law,
@@ -162,13 +168,8 @@ def _ready(amplitude_rad: F64, model: FishModel, amplitude_max_rad: float) -> F6
     return np.maximum(amplitude_rad, min(_NO_THRUST * model.dead_zone_rad, amplitude_max_rad))
 
 
-def _planned(
-    belief: Belief,
-    reference: Reference,
-    amplitude_max_rad: float,
-    low: F64,
-    high: F64,
-) -> F64:
+def _planned(belief: Belief, setting: ModelStepSetting, low: F64, high: F64) -> F64:
+    reference = setting.reference
     disturbance, _ = belief.disturbance(reference.crc, reference.beats)
     scatter = belief.identified.scatter
     fastest = float(reference.speed_m_s.max())
@@ -176,7 +177,7 @@ def _planned(
         belief.model,
         reference.speed_m_s,
         reference.beat_s,
-        amplitude_max_rad,
+        setting.amplitude_max_rad,
         disturbance,
         belief.typical,
         power=PLAN_POWER,
@@ -186,14 +187,13 @@ def _planned(
     ).amplitude_rad
 
 
-def _p_step(
-    law: Law, amplitude_max_rad: float, wanted: F64, last: TrialSpeeds, start_rad: F64
-) -> F64:
+def _p_step(setting: ModelStepSetting, last: TrialSpeeds, start_rad: F64) -> F64:
     """The P law applied to a trial: from ``start_rad``, by its errors."""
-    limited = replace(law, amplitude_max_rad=amplitude_max_rad, beat_s=last.beat_s)
-    error, measured = laws.errors_of(wanted, last.speed_m_s)
-    following, _ = laws.update(limited, start_rad, error, measured)
-    return np.clip(following.astype(np.float64), 0.0, amplitude_max_rad)
+    limit_rad = setting.amplitude_max_rad
+    law = replace(setting.law, amplitude_max_rad=limit_rad, beat_s=last.beat_s)
+    error, measured = laws.errors_of(setting.reference.speed_m_s, last.speed_m_s)
+    following, _ = laws.update(law, start_rad, error, measured)
+    return np.clip(following.astype(np.float64), 0.0, limit_rad)
 
 
 def _sigma(identified: Identified, trials: Sequence[TrialSpeeds]) -> float:
@@ -235,11 +235,8 @@ FORMAT = "tailbeat proposal 1"
 def document_of(
     proposal: Proposal,
     identified: Identified,
-    reference: Reference,
-    amplitude_max_rad: float,
+    setting: ModelStepSetting,
     trials: Sequence[TrialSpeeds],
-    fallback: Law,
-    step_max_rad: float,
 ) -> dict[str, Any]:
     """JSON types, SI units. The arguments are those ``propose`` was called with."""
     quantiles = zip(("low", "median", "high"), proposal.predicted_max_abs_error_m_s, strict=True)
@@ -254,10 +251,9 @@ def document_of(
             **_of(proposal, "model", "disturbance_m_s"),
             "fitted_trials": proposal.trials,
             **_of(proposal, "chance", "limited_beats"),
-            "reference": _of(reference, "crc", "name", "beat_s", "speed_m_s"),
-            "amplitude_max_rad": amplitude_max_rad,
-            "step_max_rad": step_max_rad,
-            "fallback": fallback,
+            "reference": _of(setting.reference, "crc", "name", "beat_s", "speed_m_s"),
+            **_of(setting, "amplitude_max_rad", "step_max_rad"),
+            "fallback": setting.law,
             "swims": [{"trial": trial.trial, "crc": swim_crc(trial)} for trial in trials],
             "identified": identified.as_dict(),
         }
@@ -280,14 +276,14 @@ def repropose(document: dict[str, Any], trials: Sequence[TrialSpeeds]) -> Propos
             speed_m_s=np.array(document["reference"]["speed_m_s"], dtype=np.float32),
             name=str(document["reference"]["name"]),
         )
-        return propose(
-            Identified.from_dict(document["identified"]),
+        setting = ModelStepSetting(
             reference,
             float(document["amplitude_max_rad"]),
-            _named(document["swims"], trials),
-            Law(**document["fallback"]),
             float(document["step_max_rad"]),
+            Law(**document["fallback"]),
         )
+        identified = Identified.from_dict(document["identified"])
+        return propose(identified, setting, _named(document["swims"], trials))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
             "this is no proposal, or it is damaged.", "Take one from the fish's trial library."

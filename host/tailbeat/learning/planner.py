@@ -1,11 +1,10 @@
 """The best amplitudes for a reference by a model: box-constrained least squares in thrust.
 
-min over w of sum(cost(reference - f(w) - disturbance)) + smoothness*sum(second differences**2),
-with 0 <= w <= w_max, f the beat means of the model, w the square of the steady speed per beat
-(nearly linear, and free of the dead zone). The cost is the square (``power`` 2), or a higher power
-of the error blurred by how swims scatter, which draws the largest errors together. Projected Newton
-with the exact Jacobian of the model: each step solves a quadratic program in the box by an active
-set.
+min over w of sum(cost(reference - f(w) - disturbance)), with 0 <= w <= w_max, f the beat means of
+the model, w the square of the steady speed per beat (nearly linear, and free of the dead zone). The
+cost is the square (``power`` 2), or a higher power of the error blurred by how trials scatter,
+which draws the largest errors together. Projected Newton with the exact Jacobian of the model: each
+step solves a quadratic program in the box by an active set.
 """
 
 from __future__ import annotations
@@ -25,9 +24,8 @@ _PIVOTS_MAX = 400
 _RIDGE = 1e-10  # of the mean curvature: beats that nothing tells of stay where they are
 _ROUGHLY = 1e-4  # of w_max: good enough to go on from
 _DONE = 1e-8  # of w_max: no beat moves by more
-_STEP_RAD = (
-    1e-5  # amplitudes are rounded to it, so that computers whose sums differ in the last bit agree
-)
+# Amplitudes are rounded to it, so that computers whose sums differ in the last bit agree.
+_STEP_RAD = 1e-5
 _ROUNDING = 1e-13  # of a cost: near the optimum it cannot tell steps apart
 _BLUR_MIN = 1e-12  # mm^2/s^2
 _MM = 1e3  # costs are taken of errors in mm/s, whose powers stay within what floats hold
@@ -41,9 +39,6 @@ class Plan:
     amplitude_rad: F64
     predicted_m_s: F64
     max_abs_error_m_s: float
-    rms_error_m_s: float
-    at_rest_beats: int  # no thrust: the drag alone decides
-    saturated_beats: int
 
 
 def plan(
@@ -53,7 +48,6 @@ def plan(
     amplitude_max_rad: float,
     disturbance_m_s: ArrayLike | None = None,
     conditions: Conditions | None = None,
-    smoothness: float = 0.0,
     power: float = 2.0,
     scatter_m_s: float = 0.0,
     low_rad: ArrayLike = 0.0,
@@ -62,7 +56,6 @@ def plan(
     """Deterministic; costs 5 ms for 40 beats, 10 ms with ``power`` 6.
 
     ``low_rad``, ``high_rad``: narrower limits of the amplitude, of all beats or of each.
-    ``smoothness``: 0 = none; in (m/s)**2 of error per unit of (second difference of w/w_max)**2.
     ``power`` >= 2: the cost of an error e is (e**2 + scatter_m_s**2)**(power/2).
     Raises InputError when a value makes no sense.
     """
@@ -79,19 +72,11 @@ def plan(
     if w_max > 0:
         target = wanted - given.flow_m_s - disturbance
         box = model.steady_m_s(low) ** 2 / w_max, model.steady_m_s(high) ** 2 / w_max
-        task = _Task(model, target, beat_s, given, w_max, box, smoothness, power, scatter_m_s)
+        task = _Task(model, target, beat_s, given, w_max, box, power, scatter_m_s)
         w = w_max * task.solve()
     amplitude = np.clip(_amplitude(model, w, w_max, amplitude_max_rad), low, high)
     predicted = model.beats(amplitude, beat_s, given) + disturbance
-    error = wanted - predicted
-    return Plan(
-        amplitude_rad=amplitude,
-        predicted_m_s=predicted,
-        max_abs_error_m_s=float(np.abs(error).max()),
-        rms_error_m_s=float(np.sqrt(np.mean(error**2))),
-        at_rest_beats=int(np.count_nonzero(amplitude == 0)),
-        saturated_beats=int(np.count_nonzero(amplitude >= amplitude_max_rad)),
-    )
+    return Plan(amplitude, predicted, float(np.abs(wanted - predicted).max()))
 
 
 def _check(wanted: F64, disturbance: F64, amplitude_max_rad: float, power: float) -> None:
@@ -129,7 +114,6 @@ class _Task:
     conditions: Conditions
     w_max: float
     box: tuple[F64, F64]
-    smoothness: float
     power: float
     scatter_m_s: float
 
@@ -145,16 +129,14 @@ class _Task:
 
     def descend(self, x: F64, done: float) -> F64:
         """Newton steps from ``x`` until no beat moves by more than ``done``."""
-        bend = np.diff(np.eye(len(x)), n=2, axis=0)
-        rough = 2 * self.smoothness * _MM**2 * (bend.T @ bend)
-        at = self._at(x, rough)
+        at = self._at(x)
         low, high = self.box
         for _ in range(_STEPS_MAX):
             step = box_step(at.hessian, at.gradient, low - x, high - x)
             share = 1.0
             for _ in range(_HALVINGS_MAX):
                 moved = np.clip(x + share * step, low, high)
-                found = self._at(moved, rough)
+                found = self._at(moved)
                 if found.cost <= at.cost * (1 + _ROUNDING):
                     break
                 share /= 2
@@ -166,19 +148,19 @@ class _Task:
                 break
         return x
 
-    def _at(self, x: F64, rough: F64) -> _Point:
+    def _at(self, x: F64) -> _Point:
         error, jacobian = self._errors(x)
         blurred = np.maximum(error**2 + (_MM * self.scatter_m_s) ** 2, _BLUR_MIN)
         p = self.power
         high = blurred ** (p / 2 - 1)
         slope = p * error * high
         curvature = p * high * (1 + (p - 2) * error**2 / blurred)
-        hessian = (jacobian.T * curvature) @ jacobian + rough
+        hessian = (jacobian.T * curvature) @ jacobian
         mean_curvature = float(np.trace(hessian)) / len(x)
         hessian[np.diag_indices(len(x))] += _RIDGE * (mean_curvature or 1.0)
         return _Point(
-            cost=float(blurred @ high + 0.5 * x @ rough @ x),
-            gradient=rough @ x - jacobian.T @ slope,
+            cost=float(blurred @ high),
+            gradient=-(jacobian.T @ slope),
             hessian=hessian,
         )
 

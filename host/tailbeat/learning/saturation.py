@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,16 +44,9 @@ class Saturation:
     limit_rad: float
     needed_rad: float | None
     basis: str
-    words: str = field(init=False)
+    words: str
     action: str
     expected: bool
-
-    def __post_init__(self) -> None:
-        need = "how much the reference needs is not known"
-        if self.needed_rad is not None:
-            need = f"the reference needs about {up_to_grain(self.needed_rad):.2f} ({self.basis})"
-        at = f"{self.beats} of {self.trial_beats} beats at the limit {self.limit_rad:.2f} rad"
-        object.__setattr__(self, "words", f"{at}; {need}")
 
     @property
     def text(self) -> str:
@@ -96,7 +89,7 @@ def saturation_of(
         return None
     known = known_fish(identified, [trial_speeds(one) for one in trials])
     reference = Reference(trial.beat_s, trial.beats.reference_m_s, "")
-    return _judged(at, count, reference, trial.params, known, learned=True)
+    return _judged(at, count, reference, trial.params, known)
 
 
 def saturation_next(
@@ -109,7 +102,7 @@ def saturation_next(
     count = at_limit(fish.amplitudes().values[:executed_beats], params["AMP_MAX_RAD"])
     if not count or (reference := board_reference(fish)) is None:
         return None
-    return _judged(count, executed_beats, reference, params, known(), learned=True)
+    return _judged(count, executed_beats, reference, params, known())
 
 
 def expected_saturation(
@@ -162,7 +155,6 @@ def down_to_grain(value: float) -> float:
 
 
 def _best_rad(identified: Identified, reference: Reference) -> float:
-
     best = plan(identified.model, reference.speed_m_s, reference.beat_s, SERVO_MOST_RAD)
     return float(best.amplitude_rad.max())
 
@@ -173,18 +165,20 @@ def _judged(
     reference: Reference,
     params: Mapping[str, float],
     known: KnownFish | None,
-    learned: bool = False,
     expected: bool = False,
 ) -> Saturation | None:
     limit = params["AMP_MAX_RAD"]
-    if known is None:
-        action = "To find out how much it needs: tailbeat session identify"
-        return Saturation(count, trial_beats, limit, None, "", action, expected)
-    if not count or _best_rad(known.identified, reference) <= limit + GRAIN_RAD:
-        return None
-    need = needed_rad(known.identified, reference)
-    action = _action(reference, params, known, need, learned)
-    return Saturation(count, trial_beats, limit, need, known.basis, action, expected)
+    need, basis = None, ""
+    words = "how much the reference needs is not known"
+    action = "To find out how much it needs: tailbeat session identify"
+    if known is not None:
+        if not count or _best_rad(known.identified, reference) <= limit + GRAIN_RAD:
+            return None
+        need, basis = needed_rad(known.identified, reference), known.basis
+        words = f"the reference needs about {up_to_grain(need):.2f} ({basis})"
+        action = _action(reference, params, known, need, learned=not expected)
+    words = f"{count} of {trial_beats} beats at the limit {limit:.2f} rad; {words}"
+    return Saturation(count, trial_beats, limit, need, basis, words, action, expected)
 
 
 def _action(

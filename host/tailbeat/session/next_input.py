@@ -23,11 +23,17 @@ from tailbeat.core.faults import NO_TRIAL, refusal
 from tailbeat.core.law import Law
 from tailbeat.core.law_memory import LawMemory, Memory, PastTrial
 from tailbeat.core.records import decode_past, decode_reference, past_path, record_crc
-from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.learning.fish_model import TrialSpeeds
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.model_law import Proposal, document_of, predicted_before, propose, swim_crc
+from tailbeat.learning.model_law import (
+    ModelStepSetting,
+    Proposal,
+    document_of,
+    predicted_before,
+    propose,
+    swim_crc,
+)
 from tailbeat.link.messages import BoardStatus
 
 
@@ -133,16 +139,6 @@ def _pulled(fish: Fish, number: int) -> Trial:
 
 
 @dataclass(frozen=True)
-class ModelStepSetting:
-    """What the board swims for: its reference, its limits (``step_max_rad`` 0 = none), its law."""
-
-    reference: Reference
-    amplitude_max_rad: float
-    step_max_rad: float
-    law: Law
-
-
-@dataclass(frozen=True)
 class ModelStep:
     """``foretold_m_s``: 5 %, 50 % and 95 % of max|e| of the last trial, by what was known before
     it; None without one. ``document``: the proposal's provenance."""
@@ -216,10 +212,8 @@ def next_step(
     setting: ModelStepSetting, identified: Identified, trials: Sequence[TrialSpeeds]
 ) -> ModelStep:
     """Proposes; changes nothing."""
-    reference, limit_rad = setting.reference, setting.amplitude_max_rad
-    rest = (reference, limit_rad, trials, setting.law, setting.step_max_rad)
-    proposal = propose(identified, *rest)
-    document = document_of(proposal, identified, *rest)
+    proposal = propose(identified, setting, trials)
+    document = document_of(proposal, identified, setting, trials)
     return ModelStep(proposal, predicted_before(identified, setting.reference, trials), document)
 
 

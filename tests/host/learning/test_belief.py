@@ -16,7 +16,7 @@ from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.feasible import suggest
 from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.model_law import propose
+from tailbeat.learning.model_law import ModelStepSetting, propose
 from tailbeat.studies.montecarlo.learners import FishBatch, identify
 
 Array = F64
@@ -95,7 +95,7 @@ def followed(kappa: float, wanted: Reference, seeds: range, trials: int) -> tupl
         known = identify("tank", fish, LIMIT, 1.0)
         batch, swims = FishBatch("tank", [fish]), list[TrialSpeeds]()
         for number in range(1, trials + 1):
-            found = propose(known, wanted, LIMIT, swims)
+            found = propose(known, ModelStepSetting(wanted, LIMIT), swims)
             run = batch.run(found.amplitude_rad[None, :], number, 1.0)
             speed = run.speed_m_s[0]
             swims.append(
@@ -141,7 +141,7 @@ def test_a_swim_that_nobody_measured_leaves_the_prediction_a_number(speed: float
     blind = TrialSpeeds(
         AMPLITUDE, nothing, nothing if np.isnan(speed) else SIGMA, 1.0, thesis().crc
     )
-    found = propose(SURE, thesis(), LIMIT, [blind])
+    found = propose(SURE, ModelStepSetting(thesis(), LIMIT), [blind])
     told = (found.predicted_m_s, found.low_m_s, found.high_m_s)
     assert np.isfinite([*told]).all()
     assert np.isfinite(found.predicted_max_abs_error_m_s).all()

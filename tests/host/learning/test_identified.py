@@ -10,8 +10,8 @@ import pytest
 
 from tailbeat.core.errors import InputError
 from tailbeat.learning.fish_model import FishModel, TrialSpeeds
-from tailbeat.learning.fit import Fit, Scatter
-from tailbeat.learning.identification import Identified
+from tailbeat.learning.fit import Scatter
+from tailbeat.learning.identification import Identified, now_text
 
 MODEL = FishModel(10.0, 0.2126, 0.2047, 0.316)
 
@@ -21,8 +21,11 @@ def identified() -> Identified:
     trial = TrialSpeeds(
         np.array([0.3, 0.5]), np.array([0.01, np.nan]), np.array([1e-3, 1e-3]), trial=7
     )
-    fit = Fit(MODEL, np.diag([1e-2, 1e-3, 1e-4, 1e-3]), [], [], 0.001, 1)
-    return Identified.of(fit, models, [trial], unique_id="ab12", scatter=Scatter(gain=0.03))
+    covariance = np.diag([1e-2, 1e-3, 1e-4, 1e-3])
+    return Identified(
+        MODEL, models, covariance, Scatter(gain=0.03),
+        unique_id="ab12", made=now_text(), trials=[trial],
+    )  # fmt: skip
 
 
 def test_what_is_saved_comes_back(tmp_path: Path) -> None:

@@ -28,7 +28,14 @@ from tailbeat.learning.belief import believe
 from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.fit import Prior
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.model_law import Proposal, document_of, predicted_before, propose, repropose
+from tailbeat.learning.model_law import (
+    ModelStepSetting,
+    Proposal,
+    document_of,
+    predicted_before,
+    propose,
+    repropose,
+)
 from tailbeat.session.next_input import (
     ModelStep,
     choose_next_input,
@@ -79,7 +86,9 @@ class Tank:
     def learn(self, identified: Identified, reference: Reference, count: int) -> list[float]:
         return [
             self.trial(
-                propose(identified, reference, AMPLITUDE_MAX_RAD, self.trials).amplitude_rad,
+                propose(
+                    identified, ModelStepSetting(reference, AMPLITUDE_MAX_RAD), self.trials
+                ).amplitude_rad,
                 reference,
             )
             for _ in range(count)
@@ -162,13 +171,13 @@ def test_fish_that_changes_gets_one_step_of_p_and_then_a_model_again() -> None:
     trials, said = list(tank.trials), []
     error = math.nan
     for _ in range(4):
-        proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, trials)
+        proposal = propose(identified, ModelStepSetting(thesis(), AMPLITUDE_MAX_RAD), trials)
         said.append(proposal.law)
         error = changed.trial(proposal.amplitude_rad, thesis())
         trials.append(changed.trials[-1])
     assert said == ["model", "p", "model", "model"]
     assert error <= 1.25 * LSQ_M_S[10]
-    last = propose(identified, thesis(), AMPLITUDE_MAX_RAD, trials)
+    last = propose(identified, ModelStepSetting(thesis(), AMPLITUDE_MAX_RAD), trials)
     assert last.model.slope_m_s_rad == pytest.approx(0.219 * 0.6, rel=0.08)
     assert last.trials == (1, 2, 3, 4) and "slope 0.1" in last.reason
 
@@ -179,7 +188,7 @@ def test_step_of_p_is_the_laws() -> None:
     odd = replace(good, speed_m_s=good.speed_m_s[::-1].copy(), trial=2)
     odd.speed_m_s[7] = np.nan
     law = Law(kp_rad_s_m=3.0, lead_beats=1)
-    found = propose(known(TRUE), wanted, 0.5, [good, odd], law)
+    found = propose(known(TRUE), ModelStepSetting(wanted, 0.5, law=law), [good, odd])
     assert found.law == "p" and found.chance < 1e-3
     error = np.r_[(wanted.speed_m_s - odd.speed_m_s)[1:], np.nan]
     expected = np.clip(odd.amplitude_rad + 3.0 * error, 0, 0.5)
@@ -191,7 +200,7 @@ def test_fish_of_no_sense_is_left_to_p() -> None:
     identified, said = known(TRUE), []
     trials: list[TrialSpeeds] = []
     for number in range(1, 5):
-        proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, trials)
+        proposal = propose(identified, ModelStepSetting(thesis(), AMPLITUDE_MAX_RAD), trials)
         said.append(proposal.law)
         trial = _as_modelled(TRUE, proposal.amplitude_rad, thesis(), number)
         trials.append(replace(trial, speed_m_s=np.where(np.arange(40) % 7 < 3, 0.08, 0.0)))
@@ -249,7 +258,9 @@ def test_band_holds_nine_tenths_and_the_test_raises_no_false_alarm() -> None:
     for seed in SEEDS:
         tank = Tank(seed)
         for _ in range(2):
-            proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.trials)
+            proposal = propose(
+                identified, ModelStepSetting(thesis(), AMPLITUDE_MAX_RAD), tank.trials
+            )
             tank.trial(proposal.amplitude_rad, thesis())
             speed = tank.trials[-1].speed_m_s
             inside.append(np.mean((speed >= proposal.low_m_s) & (speed <= proposal.high_m_s)))
@@ -262,12 +273,14 @@ def test_band_holds_nine_tenths_and_the_test_raises_no_false_alarm() -> None:
 
 def test_step_limit_holds_and_is_said() -> None:
     tank = Tank(1)
-    first = propose(known(TRUE), thesis(), AMPLITUDE_MAX_RAD, step_max_rad=0.02)
+    first = propose(known(TRUE), ModelStepSetting(thesis(), AMPLITUDE_MAX_RAD, step_max_rad=0.02))
     off = np.where(np.arange(40) < 20, -0.1, 0.1)
     tank.trial(np.clip(first.amplitude_rad + off, 0, 0.6), thesis())
     last = tank.trials[-1].amplitude_rad
     for step in (0.02, 0.15):
-        found = propose(known(TRUE), thesis(), 0.6, tank.trials, step_max_rad=step)
+        found = propose(
+            known(TRUE), ModelStepSetting(thesis(), 0.6, step_max_rad=step), tank.trials
+        )
         assert np.abs(found.amplitude_rad - last).max() <= step + 1e-12
         assert found.amplitude_rad.max() <= 0.6
         assert (found.limited_beats > 5) == (step == 0.02)
@@ -279,8 +292,17 @@ def test_decision_is_made_again_bit_for_bit() -> None:
     tank = Tank(3, camera_lost=0.3)
     tank.learn(identified, thesis(), 2)
     law = Law(lead_beats=1)
-    proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.trials, law, 0.1)
-    document = document_of(proposal, identified, thesis(), AMPLITUDE_MAX_RAD, tank.trials, law, 0.1)
+    proposal = propose(
+        identified,
+        ModelStepSetting(thesis(), AMPLITUDE_MAX_RAD, step_max_rad=0.1, law=law),
+        tank.trials,
+    )
+    document = document_of(
+        proposal,
+        identified,
+        ModelStepSetting(thesis(), AMPLITUDE_MAX_RAD, step_max_rad=0.1, law=law),
+        tank.trials,
+    )
     read = json.loads(json.dumps(document, allow_nan=False))
     made = repropose(read, tank.trials[::-1])
     for name in ("amplitude_rad", "predicted_m_s", "low_m_s", "disturbance_m_s"):
@@ -297,7 +319,7 @@ def test_foretold_is_what_was_known_before() -> None:
     identified, tank = known(TRUE), Tank(1)
     tank.learn(identified, thesis(), 2)
     said = predicted_before(identified, thesis(), tank.trials)
-    before = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.trials[:1])
+    before = propose(identified, ModelStepSetting(thesis(), AMPLITUDE_MAX_RAD), tank.trials[:1])
     assert said == pytest.approx(before.predicted_max_abs_error_m_s, rel=0.02)
     assert predicted_before(identified, thesis(), []) is None
     assert predicted_before(identified, cosine(0.05, 8, 10), tank.trials) is None
@@ -305,11 +327,11 @@ def test_foretold_is_what_was_known_before() -> None:
 
 def test_no_swim_no_speed_and_damage() -> None:
     blind = replace(_as_modelled(TRUE, np.full(40, 0.4), thesis()), speed_m_s=np.full(40, np.nan))
-    none, unseen = (propose(known(TRUE), thesis(), 0.5, s) for s in ([], [blind]))
+    none, unseen = (propose(known(TRUE), ModelStepSetting(thesis(), 0.5), s) for s in ([], [blind]))
     assert none.amplitude_rad.tobytes() == unseen.amplitude_rad.tobytes()
     short = replace(_as_modelled(TRUE, np.full(20, 0.4), thesis()), trial=9)
     with pytest.raises(InputError, match="trial 9"):
-        propose(known(TRUE), thesis(), 0.5, [short])
+        propose(known(TRUE), ModelStepSetting(thesis(), 0.5), [short])
 
 
 def test_only_swims_after_the_identification_count() -> None:
@@ -333,7 +355,7 @@ def test_numbers_that_come_again_hide_no_swim() -> None:
 
 
 def foreseeing(law: str, median_m_s: float) -> Proposal:
-    found = propose(known(TRUE), SHORT, 0.5)
+    found = propose(known(TRUE), ModelStepSetting(SHORT, 0.5))
     return replace(found, law=law, predicted_max_abs_error_m_s=(0.0, median_m_s, 1.0))
 
 
@@ -511,7 +533,7 @@ def test_demo_identifies_and_is_at_the_floor_with_its_second_swim(tmp_path: Path
 
 
 def test_proposal_is_complete() -> None:
-    found: Proposal = propose(known(TRUE), thesis(), 0.5)
+    found: Proposal = propose(known(TRUE), ModelStepSetting(thesis(), 0.5))
     assert np.all((found.amplitude_rad >= 0) & (found.amplitude_rad <= 0.5))
     assert np.all((found.low_m_s < found.predicted_m_s) & (found.predicted_m_s < found.high_m_s))
     low, median, high = found.predicted_max_abs_error_m_s

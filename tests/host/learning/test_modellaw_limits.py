@@ -12,7 +12,7 @@ from tailbeat.core.law import Law
 from tailbeat.core.reference import thesis
 from tailbeat.learning.fish_model import FishModel, TrialSpeeds, last_input
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.model_law import Proposal, predicted_before, propose
+from tailbeat.learning.model_law import ModelStepSetting, Proposal, predicted_before, propose
 from tailbeat.studies.montecarlo.learners import FishBatch
 
 LIMIT_RAD = math.pi / 4
@@ -47,7 +47,11 @@ def test_a_step_limit_delays_and_does_not_prevent(believed: float, kappa: float)
     trials: list[TrialSpeeds] = []
     errors = []
     for number in range(1, 6):
-        proposal = propose(known(believed), REFERENCE, LIMIT_RAD, trials, None, step)
+        proposal = propose(
+            known(believed),
+            ModelStepSetting(REFERENCE, LIMIT_RAD, step_max_rad=step, law=None),
+            trials,
+        )
         if trials:
             change = np.abs(proposal.amplitude_rad - trials[-1].amplitude_rad)
             assert change.max() <= step + 1e-9
@@ -61,12 +65,21 @@ def test_a_step_limit_delays_and_does_not_prevent(believed: float, kappa: float)
 
 def test_only_what_the_step_limit_holds_is_counted() -> None:
     batch = FishBatch("tank", [{"seed": 2.0}])
-    first, _ = recorded(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
+    first, _ = recorded(batch, propose(known(10), ModelStepSetting(REFERENCE, LIMIT_RAD)), 1)
     for step in (0.15, 1.0, 100.0):
-        assert propose(known(10), REFERENCE, LIMIT_RAD, [first], None, step).limited_beats == 0
+        assert (
+            propose(
+                known(10),
+                ModelStepSetting(REFERENCE, LIMIT_RAD, step_max_rad=step, law=None),
+                [first],
+            ).limited_beats
+            == 0
+        )
     strong = known(10, slope=0.3)  # believes that less will do
-    weak, _ = recorded(batch, propose(strong, REFERENCE, LIMIT_RAD), 1)
-    held = propose(strong, REFERENCE, LIMIT_RAD, [weak], None, 0.02)
+    weak, _ = recorded(batch, propose(strong, ModelStepSetting(REFERENCE, LIMIT_RAD)), 1)
+    held = propose(
+        strong, ModelStepSetting(REFERENCE, LIMIT_RAD, step_max_rad=0.02, law=None), [weak]
+    )
     binds = np.isclose(np.abs(held.amplitude_rad - weak.amplitude_rad), 0.02)
     assert 10 < held.limited_beats <= np.count_nonzero(binds)
 
@@ -85,12 +98,16 @@ def cut(trial: TrialSpeeds, beats: int) -> TrialSpeeds:
 
 def test_a_cut_trial_leaves_the_beats_behind_it_as_they_were() -> None:
     batch = FishBatch("tank", [{"seed": 3.0}])
-    first, _ = recorded(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
+    first, _ = recorded(batch, propose(known(10), ModelStepSetting(REFERENCE, LIMIT_RAD)), 1)
     stopped = cut(first, 20)
     assert last_input([first, stopped], 40).tolist() == first.amplitude_rad.tolist()
     assert np.isnan(last_input([stopped], 40)[20:]).all()
     for step in (0.0, 0.15):
-        following = propose(known(10), REFERENCE, LIMIT_RAD, [first, stopped], None, step)
+        following = propose(
+            known(10),
+            ModelStepSetting(REFERENCE, LIMIT_RAD, step_max_rad=step, law=None),
+            [first, stopped],
+        )
         _, error = recorded(batch, following, 3)
         assert following.law == "model" and error < 0.015
 
@@ -98,10 +115,12 @@ def test_a_cut_trial_leaves_the_beats_behind_it_as_they_were() -> None:
 def test_a_refuted_cut_trial_is_stepped_from_the_whole_input() -> None:
     """A P step from zeros would leave the fish at rest beyond the cut."""
     batch = FishBatch("tank", [{"seed": 4.0}])
-    first, _ = recorded(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
+    first, _ = recorded(batch, propose(known(10), ModelStepSetting(REFERENCE, LIMIT_RAD)), 1)
     stopped = cut(replace(first, speed_m_s=first.speed_m_s * 0.5), 20)
     law = Law(kp_rad_s_m=4.0, lead_beats=1)
-    following = propose(known(10), REFERENCE, LIMIT_RAD, [first, stopped], law)
+    following = propose(
+        known(10), ModelStepSetting(REFERENCE, LIMIT_RAD, law=law), [first, stopped]
+    )
     assert following.law == "p"
     beyond = slice(21, 40)  # the lead reaches one beat back from the first unmeasured one
     assert following.amplitude_rad[beyond] == pytest.approx(np.float32(first.amplitude_rad[beyond]))
@@ -110,7 +129,7 @@ def test_a_refuted_cut_trial_is_stepped_from_the_whole_input() -> None:
 def test_what_was_foretold_is_of_the_beats_that_were_swum() -> None:
     """Cut before the end that nobody can follow: the error to expect is a small one."""
     batch = FishBatch("tank", [{"seed": 5.0}])
-    first, _ = recorded(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
+    first, _ = recorded(batch, propose(known(10), ModelStepSetting(REFERENCE, LIMIT_RAD)), 1)
     whole = predicted_before(known(10), REFERENCE, [first])
     early = predicted_before(known(10), REFERENCE, [cut(first, 20)])
     assert whole is not None and early is not None

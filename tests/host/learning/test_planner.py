@@ -70,8 +70,9 @@ def test_least_squares_is_scipys(kappa: float, delay_s: float) -> None:
     )
     mine = plan(model, THESIS, 1.0, AMPLITUDE_MAX_RAD)
     rms = math.sqrt(2 * theirs.cost / len(THESIS)) / 100
-    assert mine.rms_error_m_s == pytest.approx(rms, rel=1e-5)
-    assert mine.rms_error_m_s <= rms * (1 + 1e-7)
+    found = math.sqrt(np.mean((THESIS - mine.predicted_m_s) ** 2))
+    assert found == pytest.approx(rms, rel=1e-5)
+    assert found <= rms * (1 + 1e-7)
 
 
 @pytest.mark.parametrize("power", [2, 6])
@@ -84,7 +85,7 @@ def test_no_beat_wants_to_move(power: float) -> None:
 
     best = plan(model, THESIS, 1.0, AMPLITUDE_MAX_RAD, power=power, scatter_m_s=scatter_m_s)
     amplitude = best.amplitude_rad
-    assert 4 <= best.at_rest_beats <= 12
+    assert 4 <= np.count_nonzero(best.amplitude_rad == 0) <= 12
     lowest = value(amplitude)
     for k in range(len(amplitude)):
         for step in (-0.002, 0.002):
@@ -124,9 +125,9 @@ def test_disturbance_flow_gain_and_start_are_planned_for() -> None:
 def test_limits_hold() -> None:
     model = fish(10)
     fast = plan(model, np.full(10, 0.5), 1.0, 0.4)
-    assert fast.saturated_beats == 10 and np.all(fast.amplitude_rad == 0.4)
+    assert np.all(fast.amplitude_rad == 0.4)
     still = plan(model, np.zeros(10), 1.0, 0.4)
-    assert still.at_rest_beats == 10 and not still.amplitude_rad.any()
+    assert not still.amplitude_rad.any()
     weak = plan(model, THESIS, 1.0, 0.19)
     assert not weak.amplitude_rad.any()
     low, high = np.full(40, 0.25), np.full(40, 0.45)
@@ -140,14 +141,6 @@ def test_beats_whose_thrust_comes_after_the_end_rest() -> None:
     made = plan(fish(10, delay_s=2.3), np.full(20, 0.06), 1.0, AMPLITUDE_MAX_RAD)
     assert not made.amplitude_rad[-2:].any()
     assert np.all(made.amplitude_rad[2:-3] > 0.4)
-
-
-def test_smoothness_smooths() -> None:
-    rough, smooth = (
-        plan(fish(10), THESIS, 1.0, AMPLITUDE_MAX_RAD, smoothness=s).amplitude_rad[5:30]
-        for s in (0.0, 1e-2)
-    )
-    assert np.abs(np.diff(smooth, 2)).max() < 0.7 * np.abs(np.diff(rough, 2)).max()
 
 
 def test_same_input_same_bits_and_a_step_that_the_servo_knows() -> None:

@@ -190,7 +190,8 @@ def test_rows_of_cut_trials() -> None:
     """They tell how far each got, of what is measured, and the bounds of the whole."""
     recipe = parse(SMALL, "small")
     table = pa.concat_tables([run_cell(recipe, cell) for cell in cells(recipe)])
-    rows = Rows.of(table).columns
+    found = Rows.of(table)
+    rows = found.columns | {name: np.array(found.words(name)) for name in ("law", "swum_law")}
     recorded = rows["iteration"] > 0
     assert np.array_equal(rows["executed_beats"], rows["measured_beats"])
     assert {*rows["executed_beats"][recorded]} <= set(range(4, 11)) and len(
@@ -206,7 +207,7 @@ def test_rows_of_cut_trials() -> None:
         text="P is sooner there", statistic="reach", over="floor_lsq_m_s", where={"law": ["P"]},
         level=3.0, against={"law": ["average"]}, at_most=1.0,
     )  # fmt: skip
-    assert judge(claim, Rows.of(table)).holds
+    assert judge(claim, found).holds
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ from tailbeat.learning.fish_model import SIGMA_M_S, FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import Limits, identify_runs
 from tailbeat.learning.law_prediction import next_ratio
-from tailbeat.learning.model_law import propose
+from tailbeat.learning.model_law import ModelStepSetting, propose
 from tailbeat.learning.planner import plan
 from tailbeat.sim.config import senseless
 from tailbeat.studies.montecarlo.recipe import LawSpec
@@ -261,9 +261,10 @@ class ModelBasedLaw(_IdentifiedFish):
 
     def following(self) -> F64:
         """Proposes."""
-        most, fallback = self.amplitude_max_rad, law_of(self.spec, self.amplitude_max_rad)
+        most = self.amplitude_max_rad
+        setting = ModelStepSetting(self._reference, most, law=law_of(self.spec, most))
         self._proposals = [
-            propose(one, self._reference, most, kept, fallback)
+            propose(one, setting, kept)
             for one, kept in zip(self.identified, self._trials, strict=True)
         ]
         self.bound_m_s = self._bounds([one.model for one in self._proposals])
