@@ -29,7 +29,6 @@ from tailbeat.learning.convergence import (
     assess_all,
     best_of,
     comparable,
-    default_band,
     expected_band,
     score_of,
 )
@@ -94,7 +93,7 @@ def gain_schedule(
     return GainSchedule(fade, fade_from, kalman, 1 / (1 + fade * beyond))
 
 
-def fluctuation(scores: Sequence[Score], band: NoiseBand | None = None) -> float | None:
+def fluctuation(scores: Sequence[Score], band: NoiseBand) -> float | None:
     """Scatter of max|e| since the series settled, over that of repeats; None before four trials
     have. Settled: from the first judged trial that noise does not tell from the best."""
     scores = comparable(scores)
@@ -105,17 +104,17 @@ def fluctuation(scores: Sequence[Score], band: NoiseBand | None = None) -> float
     settled = [score.max_abs_error_m_s for score in scores[at:] if score.judged]
     if len(settled) < _SETTLED_MIN:
         return None
-    noise = sum((band or default_band(best.max_abs_error_m_s)).widths(best.max_abs_error_m_s))
+    noise = sum(band.widths(best.max_abs_error_m_s))
     return float(np.std(settled, ddof=1)) / (noise / _INTERVAL_SIGMAS)
 
 
-def settled_after(scores: Sequence[Score], band: NoiseBand | None = None) -> int | None:
+def settled_after(scores: Sequence[Score], band: NoiseBand) -> int | None:
     """Index of the first judged trial within noise of the best; None = none is judged."""
     scores = comparable(scores)
     best = best_of(scores)
     if best is None:
         return None
-    _, up = (band or default_band(best.max_abs_error_m_s)).widths(best.max_abs_error_m_s)
+    _, up = band.widths(best.max_abs_error_m_s)
     limit = best.max_abs_error_m_s + math.sqrt(2) * up
     return next(
         at for at, score in enumerate(scores) if score.judged and score.max_abs_error_m_s <= limit
@@ -165,11 +164,10 @@ _STEP_MIN = 0.05
 _BY_THE_LAW = ("law", "first", "restored", "")  # what made a trial's amplitudes; "" = not told
 
 
-def rollback_words(best_trial: int = 0) -> str:
+def rollback_words() -> str:
     """That the board went back to its best input by itself. Every place that shows what was learned
-    says it with these words; ``best_trial`` 0 = not known which."""
-    whose = f"trial {best_trial}'s amplitudes" if best_trial else "the best amplitudes"
-    return f"ROLLED BACK: worse twice in a row, so {whose} trial next"
+    says it with these words."""
+    return "ROLLED BACK: worse twice in a row, so the best amplitudes swim next"
 
 
 @dataclass(frozen=True)

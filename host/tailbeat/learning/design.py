@@ -90,10 +90,6 @@ class _Choice:
     def mean(self) -> float:
         return float(self.ratio.mean())
 
-    @property
-    def blend(self) -> float:
-        return self.worst + _MEAN_WEIGHT * self.mean
-
 
 def design(
     identified: Identified,
@@ -214,7 +210,12 @@ def _with_best_gain(
 
     if gain is not None:
         return choice(gain)
-    found = choice(_least(lambda g: choice(g).blend, gain_max))
+
+    def cost(gain: float) -> float:
+        tried = choice(gain)
+        return tried.worst + _MEAN_WEIGHT * tried.mean
+
+    found = choice(_least(cost, gain_max))
     return found if found.worst <= 1 + _NEUTRAL else choice(_rounded_down(gain_max))
 
 

@@ -32,40 +32,9 @@ _SPEED_MIN_M_S = 1e-6  # below it a fish has no thrust; keeps w/w_max a number
 _BISECTIONS = 20
 
 
-class Plant:
-    """``w_max``: largest w, (m/s)**2. ``delay_s``: from a beat's begin to its thrust."""
-
-    w_max: float
-    delay_s: float
-
-    def amplitude_rad(self, w: F64) -> F64:
-        """The smallest amplitude that gives w; for 0 the edge of the dead zone, from where thrust
-        is soonest reached."""
-        raise NotImplementedError
-
-    def thrust(self, amplitude_rad: F64) -> F64:
-        """w of amplitudes, at most ``w_max``."""
-        raise NotImplementedError
-
-    def beats(self, w: F64) -> F64:
-        """Mean speed of every beat, m/s."""
-        raise NotImplementedError
-
-    def slopes(self, w: F64, beats_m_s: F64) -> F64:
-        """d beats[k] / d w[j], shape (beats, beats); ``beats_m_s`` = ``beats(w)``. By finite
-        differences."""
-        slopes = np.empty((len(w), len(w)))
-        size = _DIFFERENCE * self.w_max
-        for j in range(len(w)):
-            step = size if w[j] + size <= self.w_max else -size
-            moved = w.copy()
-            moved[j] += step
-            slopes[:, j] = (self.beats(moved) - beats_m_s) / step
-        return slopes
-
-
-class ModelPlant(Plant):
-    """An identified fish; slopes are exact."""
+class ModelPlant:
+    """An identified fish; slopes are exact. ``w_max``: largest w, (m/s)**2. ``delay_s``: from a
+    beat's begin to its thrust."""
 
     def __init__(self, model: FishModel, beat_s: float, amplitude_max_rad: float) -> None:
         self.w_max = max(float(model.steady_m_s(amplitude_max_rad)), _SPEED_MIN_M_S) ** 2
@@ -74,26 +43,32 @@ class ModelPlant(Plant):
         self._amplitude_max = amplitude_max_rad
 
     def amplitude_rad(self, w: F64) -> F64:
+        """The smallest amplitude that gives w; for 0 the edge of the dead zone, from where thrust
+        is soonest reached."""
         amplitude = self._model.amplitude_rad(np.sqrt(np.maximum(w, 0)))
         return np.asarray(np.clip(amplitude, 0, self._amplitude_max))
 
     def thrust(self, amplitude_rad: F64) -> F64:
+        """w of amplitudes, at most ``w_max``."""
         return np.minimum(self._model.steady_m_s(amplitude_rad) ** 2, self.w_max)
 
     def beats(self, w: F64) -> F64:
+        """Mean speed of every beat, m/s."""
         distance, _, _ = self._model.distance(w, self._beat_s)
         mean: F64 = np.diff(distance) / self._beat_s
         return mean
 
     def slopes(self, w: F64, beats_m_s: F64) -> F64:
+        """d beats[k] / d w[j], shape (beats, beats); ``beats_m_s`` = ``beats(w)``."""
         _, by_w, _ = self._model.distance(w, self._beat_s, slopes=True)
         assert by_w is not None
         slopes: F64 = np.diff(by_w, axis=0) / self._beat_s
         return slopes
 
 
-class SimulatedPlant(Plant):
-    """The simulator's plant, ``sim_config_t *``; slopes are finite differences of it."""
+class SimulatedPlant:
+    """The simulator's plant, ``sim_config_t *``, with the face of ``ModelPlant``; slopes are finite
+    differences of it."""
 
     def __init__(self, config: Any, beat_s: float, amplitude_max_rad: float) -> None:
         self._config, self._beat_s = config, beat_s
@@ -143,6 +118,19 @@ class SimulatedPlant(Plant):
 
     def beats(self, w: F64) -> F64:
         return plant_beats(self._config, self.amplitude_rad(w), self._beat_s)
+
+    def slopes(self, w: F64, beats_m_s: F64) -> F64:
+        slopes = np.empty((len(w), len(w)))
+        size = _DIFFERENCE * self.w_max
+        for j in range(len(w)):
+            step = size if w[j] + size <= self.w_max else -size
+            moved = w.copy()
+            moved[j] += step
+            slopes[:, j] = (self.beats(moved) - beats_m_s) / step
+        return slopes
+
+
+Plant = ModelPlant | SimulatedPlant
 
 
 def plant_beats(config: Any, amplitude_rad: F64, beat_s: float) -> F64:

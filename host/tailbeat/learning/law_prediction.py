@@ -58,10 +58,19 @@ def expected_series(
     gain, flow and start speed of its own and noisy speeds. Without the rollback. Deterministic."""
     rng = np.random.default_rng(_SEED)
     sigma = _camera_sigma(identified)
-    known = identified.models or [identified.model]
-    models = [known[i * len(known) // _SWIMMERS] for i in range(_SWIMMERS)]
-    rows = [_learn(m, identified.scatter, reference, law, iterations, sigma, rng) for m in models]
-    low, median, high = np.percentile(rows, [5, 50, 95], axis=0)
+    wanted = reference.speed_m_s.astype(np.float64)
+    limit_rad = np.float32(law.amplitude_max_rad)
+    largest = np.full((_SWIMMERS, iterations + 1), np.abs(wanted).max())
+    for i, series in enumerate(largest):
+        model = identified.models[i * len(identified.models) // _SWIMMERS]
+        amplitude = first_amplitudes(law, wanted)
+        for trial in range(1, iterations + 1):
+            recorded = np.clip(amplitude, 0, limit_rad).astype(np.float64)
+            speed = model.beats(recorded, reference.beat_s, identified.scatter.draw(rng))
+            error = wanted - speed - rng.normal(0, sigma, len(wanted))
+            series[trial] = np.abs(error).max()
+            amplitude, _ = update(law, amplitude, error)
+    low, median, high = np.percentile(largest, [5, 50, 95], axis=0)
     return ExpectedSeries(median, low, high)
 
 
@@ -69,27 +78,6 @@ def _camera_sigma(identified: Identified) -> float:
     seen = [trial.sigma_m_s[trial.measured] for trial in identified.trials]
     known = np.concatenate(seen) if seen else np.empty(0)
     return float(np.median(known)) if known.size else SIGMA_M_S
-
-
-def _learn(
-    model: FishModel,
-    scatter: Scatter,
-    reference: Reference,
-    law: Law,
-    iterations: int,
-    sigma_m_s: float,
-    rng: Generator,
-) -> F64:
-    wanted = reference.speed_m_s.astype(np.float64)
-    amplitude = first_amplitudes(law, wanted)
-    worst = [float(np.abs(wanted).max())]
-    for _ in range(iterations):
-        recorded = np.clip(amplitude, 0, np.float32(law.amplitude_max_rad)).astype(np.float64)
-        speed = model.beats(recorded, reference.beat_s, scatter.draw(rng))
-        error = wanted - speed - rng.normal(0, sigma_m_s, len(wanted))
-        worst.append(float(np.abs(error).max()))
-        amplitude, _ = update(law, amplitude, error)
-    return np.array(worst)
 
 
 def next_ratio(

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tailbeat.core.decode import read
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.extras import LazyModule, need
 from tailbeat.core.files import replace_file, replacing
@@ -84,16 +85,9 @@ class StudyFolder:
 
     def manifest(self) -> dict[str, Any] | None:
         """What the folder says it is of; None when it says nothing."""
-        try:
-            raw = json.loads((self.folder / MANIFEST).read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError) as error:
-            raise InputError(
-                f"{self.folder / MANIFEST} cannot be read ({reason(error)}).",
-                "Give another folder with --out, or delete that one.",
-            ) from error
-        return raw if isinstance(raw, dict) else {}
+        path = self.folder / MANIFEST
+        remedy = "Give another folder with --out, or delete that one."
+        return read(path, dict[str, Any], remedy) if path.exists() else None
 
     def recipe(self) -> Recipe:
         """What the results are of."""
