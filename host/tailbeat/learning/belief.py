@@ -127,34 +127,27 @@ class Belief:
     def imperfection(self) -> float:
         """Variance of what the model leaves out, over the usual one: as the trials' residuals tell
         it, which are set against some beats of the usual one."""
-        odd, beats = self._oddity(self.trials, self.fit)
-        return max(
-            _IMPERFECT_MIN,
-            (_IDENTIFIED_BEATS * self.identified_imperfection + odd) / (_IDENTIFIED_BEATS + beats),
-        )
+        usual = self.identified_imperfection
+        return self._imperfect(self.trials, self.fit, _IDENTIFIED_BEATS, usual)
 
-    def _oddity(self, trials: Sequence[TrialSpeeds], found: Fit | None) -> tuple[float, int]:
-        """(sum over the measured beats of what is left out, squared and over the usual; beats)"""
+    def _imperfect(
+        self, trials: Sequence[TrialSpeeds], found: Fit | None, usual_beats: int, usual: float
+    ) -> float:
+        """What residuals tell, set against ``usual_beats`` of the ``usual`` imperfection."""
         total, beats = 0.0, 0
         for trial, residual in zip(trials, found.residual_m_s if found else (), strict=True):
             seen = np.isfinite(residual)
             excess = residual**2 - trial.sigma_m_s**2
             total += float(np.sum((excess / self._usual(trial.amplitude_rad))[seen]))
             beats += int(seen.sum())
-        return total, beats
+        return max(_IMPERFECT_MIN, (usual_beats * usual + total) / (usual_beats + beats))
 
     def begun(self) -> Belief:
-        """With the imperfection that the identification's own swims show."""
+        """With the imperfection that the identification's own trials show."""
         trials = [trial for trial in self.identified.trials if trial.measured.any()]
-        if not trials:
-            return self
-        odd, beats = self._oddity(trials, fit(trials, self.prior, self.identified.scatter))
-        return replace(
-            self,
-            identified_imperfection=max(
-                _IMPERFECT_MIN, (_USUAL_BEATS + odd) / (_USUAL_BEATS + beats)
-            ),
-        )
+        found = fit(trials, self.prior, self.identified.scatter) if trials else None
+        shown = self._imperfect(trials, found, _USUAL_BEATS, 1.0)
+        return replace(self, identified_imperfection=shown)
 
     def _usual(self, amplitude_rad: F64) -> F64:
         """Variance of what a model usually leaves out of each beat, (m/s)**2."""

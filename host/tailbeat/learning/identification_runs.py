@@ -9,6 +9,7 @@ Amplitudes rise beat by beat to the cruise, because a hard step says little of t
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -175,13 +176,11 @@ class IdentificationSeries:
                 f"the tank is too short to identify the fish: {max(usable_m, 0.0):.2f} m are left.",
                 "Correct TANK_LEN_M and FISH_LEN_M, or swim by hand and give --trials.",
             )
-        while shortest < longest:
-            middle = (shortest + longest + 1) // 2
-            longer = self._profile(kind, wanted_rad, middle)
-            if worst(longer) <= usable_m:
-                shortest, amplitude = middle, longer
-            else:
-                longest = middle - 1
+        longer = range(shortest + 1, longest + 1)
+        more = bisect_right(
+            longer, usable_m, key=lambda beats: worst(self._profile(kind, wanted_rad, beats))
+        )
+        amplitude = self._profile(kind, wanted_rad, shortest + more)
         model = self.model
         return IdentificationRun(
             number=number,

@@ -258,7 +258,8 @@ def test_a_filter_comes_only_when_every_lead_grows() -> None:
 
 
 def test_a_thesis_fish_needs_no_lead() -> None:
-    quick = Identified(FishModel(414.0, 0.2, 0.05, 0.0), [], np.zeros((4, 4)))
+    model = FishModel(414.0, 0.2, 0.05, 0.0)
+    quick = Identified(model, [model], np.zeros((4, 4)))
     found = design(quick, REFERENCE, LIMIT, iterations=1)
     assert (found.law.lead_beats, found.law.q_len) == (0.0, 1)
     assert found.law.kp_rad_s_m == pytest.approx(5.0, abs=0.02)

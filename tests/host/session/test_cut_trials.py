@@ -216,7 +216,10 @@ def test_rows_of_cut_trials() -> None:
         (("uniform:4,13", "about 5"), "noise cut: 'about 5' is no length of trials"),
         (('past = "mean"', 'past = "some"'), "past = some is not for kind p"),
         (('past = "mean"', 'past = "mean"\nkind = "model"'), "past = mean is not for kind model"),
-        (('past = "window"', 'past = "window"\nwindow = 9'), "a window of 9 trials"),
+        (
+            ('past = "window"', 'past = "window"\nwindow = 9'),
+            "window: expected a whole number <= 8",
+        ),
     ],
 )
 def test_bad_recipes_of_cut_trials(change: tuple[str, str], message: str) -> None:

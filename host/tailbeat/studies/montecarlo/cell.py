@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +36,7 @@ from tailbeat.studies.montecarlo.recipe import (
     Recipe,
     SimSettings,
 )
-from tailbeat.studies.montecarlo.results import FAILED, arrow, schema
-
-if TYPE_CHECKING:
-    import pyarrow as pa
+from tailbeat.studies.montecarlo.results import FAILED, Table, pyarrow, schema
 
 _CHUNKS = {"p": 250, "repeats": 250, "design": 5, "model": 5}  # each some seconds of work at most
 _ANOTHER_SEED = 0  # of the fish that a reference is made for: one of those that learn, but not them
@@ -79,7 +76,7 @@ def cells(recipe: Recipe) -> list[Cell]:
     return found
 
 
-def run_cell(recipe: Recipe, cell: Cell) -> pa.Table:
+def run_cell(recipe: Recipe, cell: Cell) -> Table:
     """A table of ``results.schema()``: a row per fish and iteration, fish by fish.
 
     A fish that cannot be identified or taught does not end a study: its rows are NaN, their verdict
@@ -95,21 +92,21 @@ def run_cell(recipe: Recipe, cell: Cell) -> pa.Table:
     return _run(recipe, cell, phases)
 
 
-def _run(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
+def _run(recipe: Recipe, cell: Cell, phases: Phases) -> Table:
     """All of its fish; one by one when something is wrong with one of them."""
     try:
         return _trials(recipe, cell, phases)
     except (TailbeatError, ArithmeticError, ValueError) as error:
         if len(cell.seeds) > 1:
             alone = [_run(recipe, replace(cell, seeds=(seed,)), phases) for seed in cell.seeds]
-            return arrow().concat_tables(alone).combine_chunks()
+            return pyarrow.concat_tables(alone).combine_chunks()
         return _failed(recipe, cell, phases, error)
     except Exception as error:
         error.add_note(f"in cell {cell.label}, seeds {cell.seeds[0]} to {cell.seeds[-1]}")
         raise
 
 
-def _trials(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
+def _trials(recipe: Recipe, cell: Cell, phases: Phases) -> Table:
     fish = [{**cell.plant.values, **cell.noise.values, "seed": seed} for seed in cell.seeds]
     batch = FishBatch(cell.plant.plant, fish)
     rows = _Rows(recipe, cell)
@@ -129,7 +126,7 @@ def _trials(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
     return rows.table()
 
 
-def _failed(recipe: Recipe, cell: Cell, phases: Phases, error: Exception) -> pa.Table:
+def _failed(recipe: Recipe, cell: Cell, phases: Phases, error: Exception) -> Table:
     message = error.message if isinstance(error, TailbeatError) else f"{error!r}"
     rows = _Rows(recipe, cell)
     for ground, iterations in phases:
@@ -239,8 +236,8 @@ class _Rows:
         self._before, self._made_by_law = nothing, np.zeros(self.fish, dtype=bool)
         self._put(
             self._errors(still, still)
-            | self._bounds(nothing, nothing, np.full(self.fish, ground.reference.beats)),
-            predicted_floor_m_s=bound_m_s,
+            | self._bounds(nothing, nothing, np.full(self.fish, ground.reference.beats))
+            | {"predicted_floor_m_s": bound_m_s}
         )
 
     def add(
@@ -255,8 +252,8 @@ class _Rows:
         self._put(
             self._errors(self.wanted - trials.speed_m_s, self.wanted - trials.true_m_s)
             | self._bounds(amplitude, trials.true_m_s, executed)
-            | report,
-            saturated_beats=at_limit.sum(axis=1),
+            | report
+            | {"saturated_beats": at_limit.sum(axis=1)}
         )
         self._before = amplitude
         verdict = np.array(report.get("verdict", ""))
@@ -267,9 +264,9 @@ class _Rows:
         self.ground = ground
         self.iteration = -1
         for _ in range(iterations + 1):
-            self._put({}, verdict=FAILED, failure=why)
+            self._put({"verdict": FAILED, "failure": why})
 
-    def _errors(self, error: F64, true: F64) -> dict[str, Any]:
+    def _errors(self, error: F64, true: F64) -> Columns:
         known = np.isfinite(error)
         count = known.sum(axis=1)
         squares = np.where(known, error, 0.0) ** 2
@@ -285,7 +282,7 @@ class _Rows:
             "measured_beats": count,
         }
 
-    def _bounds(self, amplitude: F64, true: F64, executed: NDArray[np.int64]) -> dict[str, Any]:
+    def _bounds(self, amplitude: F64, true: F64, executed: NDArray[np.int64]) -> Columns:
         """``step_rad``: the largest change of a beat that the law made; 0 for the first amplitudes
         and for those that were brought back."""
         reached = np.arange(true.shape[1]) < executed[:, None]
@@ -300,13 +297,13 @@ class _Rows:
             "travel_m": (true * reached).sum(axis=1) * self.ground.reference.beat_s,
         }
 
-    def _put(self, columns: dict[str, Any], **more: Any) -> None:
+    def _put(self, columns: Columns) -> None:
         """The next row; what is not given is NaN, 0 or empty."""
         self.iteration += 1
         cell, ground = self.cell, self.ground
         names = {key: getattr(cell, key).name for key in ("plant", "law", "noise", "corner")}
         self.rows.append(
-            columns | more | names | {
+            columns | names | {
                 "iteration": self.iteration,
                 "seed": cell.seeds,
                 "reference": ground.reference.name,
@@ -316,13 +313,12 @@ class _Rows:
             }
         )  # fmt: skip
 
-    def table(self) -> pa.Table:
+    def table(self) -> Table:
         """Fish by fish, in the order of the iterations."""
-        types = arrow()
-        defaults = {types.string(): "", types.int64(): 0, types.float64(): np.nan}
+        defaults = {pyarrow.string(): "", pyarrow.int64(): 0, pyarrow.float64(): np.nan}
         arrays = []
         for column in schema():
             rows = [row.get(column.name, defaults[column.type]) for row in self.rows]
             values = np.array([np.broadcast_to(row, self.fish) for row in rows]).T.ravel()
-            arrays.append(types.array(values, type=column.type))
-        return types.table(arrays, schema=schema())
+            arrays.append(pyarrow.array(values, type=column.type))
+        return pyarrow.table(arrays, schema=schema())

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, fields
 from importlib.resources import files
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -116,7 +116,7 @@ class LawSpec(StrictTable, kw_only=True):
     step_max_rad: float = 0.0
     rollback_ratio: float = 0.0
     past: str = "last"
-    window: int = 3
+    window: Annotated[int, msgspec.Meta(ge=WINDOW_MIN, le=WINDOW_MAX)] = 3  # as ILC_WINDOW
     corners: bool = False
     cold: bool = False
 
@@ -159,12 +159,12 @@ class _Learning(StrictTable, kw_only=True):
 
     title: str = ""
     reference: str = "thesis"
-    iterations: int = 6
+    iterations: Annotated[int, msgspec.Meta(ge=1)] = 6
     before: str = ""
     before_iterations: int = 0
-    seeds: int = 20
-    first_seed: int = 1
-    chunk: int = 0
+    seeds: Annotated[int, msgspec.Meta(ge=1)] = 20
+    first_seed: Annotated[int, msgspec.Meta(ge=0)] = 1
+    chunk: Annotated[int, msgspec.Meta(ge=0)] = 0
     amplitude_max_rad: float = math.pi / 4
     description: str = ""
 
@@ -334,8 +334,6 @@ class _Reader:
                 raise self.fail(f"there is no [[{what}]]", "A recipe needs at least one.")
             if twice := [name for name in known if known.count(name) > 1]:
                 raise self.fail(f"two of {what} are called {twice[0]}", "Give each its own name.")
-        if min(recipe.seeds, recipe.iterations) < 1 or min(recipe.first_seed, recipe.chunk) < 0:
-            raise self.fail("seeds and iterations must be 1 or more", "Correct them.")
         if bool(recipe.before) != (recipe.before_iterations > 0):
             raise self.fail("before needs before_iterations, and the other way", "Give both.")
         for law in recipe.laws:
@@ -356,11 +354,6 @@ class _Reader:
             raise self.fail(
                 f"law {law.name}: past = {law.past} is not for kind {law.kind}",
                 f"Use kind p with one of {', '.join(PAST_KINDS)}.",
-            )
-        if not WINDOW_MIN <= law.window <= WINDOW_MAX:
-            raise self.fail(
-                f"law {law.name}: a window of {law.window} trials",
-                f"Use {WINDOW_MIN} to {WINDOW_MAX}, as the board's ILC_WINDOW.",
             )
         if recipe.before and law.kind == "repeats" and not law.cold:
             raise self.fail("repeats cannot change the reference", "Leave before away.")

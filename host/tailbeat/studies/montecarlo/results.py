@@ -7,13 +7,9 @@ import io
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from tailbeat.core.extras import need
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
+from tailbeat.core.extras import LazyModule, need
 
 FAILED = "failed"  # the verdict on a fish that could not be identified or taught
 
@@ -47,19 +43,23 @@ DERIVED = ("ratio_inside", "prediction_inside", "floor_prediction_error")
 NUMBER_COLUMNS = (*_NUMBER, *_WHOLE, *DERIVED)
 
 
-def arrow(module: str = "pyarrow") -> Any:
-    """The module of pyarrow. Raises InputError when it is not installed."""
+def _needed(module: str) -> Any:
     return need(module, "export", "A sweep writes Parquet files and needs pyarrow")
 
 
+pyarrow = LazyModule("pyarrow", lambda: _needed("pyarrow"))
+parquet = LazyModule("pyarrow.parquet", lambda: _needed("pyarrow.parquet"))
+Table = Any
+"""A ``pyarrow.Table``."""
+
+
 @cache
-def schema() -> pa.Schema:
-    """The columns of the results."""
-    types = arrow()
-    return types.schema(
-        [(name, types.string()) for name in TEXT_COLUMNS]
-        + [(name, types.int64()) for name in _WHOLE]
-        + [(name, types.float64()) for name in _NUMBER]
+def schema() -> Any:
+    """The ``pyarrow.Schema`` of the results."""
+    return pyarrow.schema(
+        [(name, pyarrow.string()) for name in TEXT_COLUMNS]
+        + [(name, pyarrow.int64()) for name in _WHOLE]
+        + [(name, pyarrow.float64()) for name in _NUMBER]
     )
 
 
@@ -80,12 +80,12 @@ def identity() -> dict[str, str]:
         "code": code.hexdigest()[:16],
         "numpy": numpy.__version__,
         "scipy": scipy.__version__,
-        "pyarrow": arrow().__version__,
+        "pyarrow": _needed("pyarrow").__version__,
     }
 
 
-def to_bytes(table: pa.Table) -> bytes:
+def to_bytes(table: Table) -> bytes:
     """A table of ``schema()`` as the bytes of a Parquet file."""
     out = io.BytesIO()
-    arrow("pyarrow.parquet").write_table(table, out, compression="zstd")
+    parquet.write_table(table, out, compression="zstd")
     return out.getvalue()

@@ -19,7 +19,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tailbeat.core.decode import read
 from tailbeat.core.errors import InputError, TailbeatError, reason
@@ -28,10 +28,7 @@ from tailbeat.core.files import replace_file, replacing
 from tailbeat.core.parallel import cores_here, each_result, one_thread
 from tailbeat.studies.montecarlo.cell import Cell, cells, run_cell
 from tailbeat.studies.montecarlo.recipe import Recipe, parse
-from tailbeat.studies.montecarlo.results import arrow, identity, schema, to_bytes
-
-if TYPE_CHECKING:
-    import pyarrow as pa
+from tailbeat.studies.montecarlo.results import Table, identity, parquet, pyarrow, schema, to_bytes
 
 _NEEDED = ("distributed", "cluster", "Computing on a cluster needs Dask (distributed)")
 distributed = LazyModule("distributed", lambda: need(*_NEEDED))
@@ -71,17 +68,13 @@ class StudyFolder:
             self._keep_source(recipe.source)
             replace_file(self.folder / MANIFEST, (json.dumps(wanted, indent=1) + "\n").encode())
             return
-        different = [key for key, value in wanted.items() if found.get(key) != value]
-        if not different:
-            self._keep_source(recipe.source)
-            return
-        what = "another recipe" if different[0].startswith("recipe") else f"another {different[0]}"
-        what = "another build of tailbeat" if different[0] == "code" else what
-        raise InputError(
-            f"{self.folder} holds results of {what} (its {different[0]} is "
-            f"{found.get(different[0])}, now {wanted[different[0]]}).",
-            "Give another folder with --out, or delete that one.",
-        )
+        if key := _difference(found, wanted):
+            raise InputError(
+                f"{self.folder} holds results of {_another(key)} (its {key} is {found.get(key)}, "
+                f"now {wanted[key]}).",
+                "Give another folder with --out, or delete that one.",
+            )
+        self._keep_source(recipe.source)
 
     def manifest(self) -> dict[str, Any] | None:
         """What the folder says it is of; None when it says nothing."""
@@ -120,7 +113,6 @@ class StudyFolder:
 
     def finish(self, cells: list[Cell]) -> Path:
         """Puts all parts together in the order of the cells, a row group for each."""
-        parquet = arrow("pyarrow.parquet")
         with (
             replacing(self.results) as file,
             parquet.ParquetWriter(
@@ -131,7 +123,7 @@ class StudyFolder:
                 writer.write_table(_read_part(self.part(cell)))
         return self.results
 
-    def read(self) -> pa.Table:
+    def read(self) -> Table:
         """The results; those of the finished cells when the sweep is not complete."""
         if self.results.exists():
             return _read(self.results)
@@ -141,19 +133,28 @@ class StudyFolder:
                 f"{self.folder} holds no results of a sweep.",
                 "Run: tailbeat sim montecarlo RECIPE --out",
             )
-        return arrow().concat_tables([_read_part(path) for path in parts])
+        return pyarrow.concat_tables([_read_part(path) for path in parts])
 
 
-def _read(path: Path) -> pa.Table:
+def _difference(there: dict[str, Any], wanted: dict[str, str]) -> str:
+    """The first key of ``wanted`` that has another value; "" = none has."""
+    return next((key for key, value in wanted.items() if there.get(key) != value), "")
+
+
+def _another(key: str) -> str:
+    named = {"code": "build of tailbeat", "recipe_crc": "recipe"}
+    return f"another {named.get(key, key)}"
+
+
+def _read(path: Path) -> Table:
     """With every page checked. Raises InputError when it is damaged or not there."""
-    parquet = arrow("pyarrow.parquet")
     try:
         return parquet.read_table(path, page_checksum_verification=True)
-    except (OSError, arrow().ArrowException) as error:
+    except (OSError, pyarrow.ArrowException) as error:
         raise _damaged(path) from error
 
 
-def _read_part(path: Path) -> pa.Table:
+def _read_part(path: Path) -> Table:
     """Raises InputError when a byte of it is not as it was written, or it is not there."""
     try:
         raw = path.read_bytes()
@@ -162,7 +163,7 @@ def _read_part(path: Path) -> pa.Table:
     digest, data = raw[:_DIGEST_BYTES], raw[_DIGEST_BYTES:]
     if hashlib.sha256(data).digest() != digest:
         raise _damaged(path)
-    return arrow("pyarrow.parquet").read_table(arrow().BufferReader(data))
+    return parquet.read_table(pyarrow.BufferReader(data))
 
 
 def _damaged(path: Path) -> InputError:
@@ -276,13 +277,11 @@ def compute_alike(recipe: Recipe, cell: Cell, wanted: dict[str, str]) -> bytes:
 
 
 def _check(worker: str, there: dict[str, str], wanted: dict[str, str]) -> None:
-    for key, value in wanted.items():
-        if there.get(key) != value:
-            what = "another build of tailbeat" if key == "code" else f"another {key}"
-            raise InputError(
-                f"{worker} has {what} ({there.get(key)}; here {value}).",
-                "Install the same on all machines: the results would differ.",
-            )
+    if key := _difference(there, wanted):
+        raise InputError(
+            f"{worker} has {_another(key)} ({there.get(key)}; here {wanted[key]}).",
+            "Install the same on all machines: the results would differ.",
+        )
 
 
 def _check_workers(client: Any, scheduler: str) -> None:

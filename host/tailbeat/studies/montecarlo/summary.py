@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import cycle, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,7 @@ from numpy.typing import NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.report.style import ACCENT, GREY, Axes, Figure, mpl_ticker, picture
 from tailbeat.studies.montecarlo.recipe import BY_REPEATS, ClaimSpec, Recipe
-from tailbeat.studies.montecarlo.results import FAILED, TEXT_COLUMNS
-
-if TYPE_CHECKING:
-    import pyarrow as pa
+from tailbeat.studies.montecarlo.results import FAILED, TEXT_COLUMNS, Table
 
 Group = tuple[str, ...]
 
@@ -46,7 +43,7 @@ class Rows:
     texts: dict[str, list[str]]
 
     @classmethod
-    def of(cls, table: pa.Table) -> Rows:
+    def of(cls, table: Table) -> Rows:
         """With the derived columns."""
         columns, texts = {}, {}
         for name in table.column_names:
@@ -162,7 +159,7 @@ class StudySummary:
         return [claim for claim in self.claims if not claim.holds]
 
 
-def summarise(recipe: Recipe, table: pa.Table) -> StudySummary:
+def summarise(recipe: Recipe, table: Table) -> StudySummary:
     """From the results of a recipe, or as much of them as there is."""
     rows = Rows.of(table)
     lines = [_line(key, group) for key, group in rows.groups()]

@@ -499,7 +499,7 @@ def test_corners() -> None:
         (("lead_beats = 1", "leed = 1"), "law[0]: unknown key leed"),
         (('kind = "repeats"', 'kind = "magic"'), "there is no law of kind magic"),
         (('name = "repeats"', 'name = "board"'), "two of law are called board"),
-        (("seeds = 3", "seeds = 0"), "seeds and iterations must be 1 or more"),
+        (("seeds = 3", "seeds = 0"), "seeds: expected a whole number >= 1"),
         (("seeds = 3", "seeds = 2.5"), "seeds: expected a whole number"),
         (("cosine:0.05,3,2", "sine"), "there is no reference 'sine'"),
         (("at_most = 0.9", ""), "gets better' has no bound"),
