@@ -30,7 +30,7 @@ from tailbeat.experiment.folder import JUDGING, Experiment
 from tailbeat.experiment.journal import told_of
 from tailbeat.experiment.store import Kept, read_kept
 from tailbeat.experiment.trial_rows import TrialRow, noise_of, rows_of, with_noise
-from tailbeat.learning.convergence import best_of, score_of
+from tailbeat.learning.convergence import Score, best_of, score_of
 from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.fish_model import trial_speeds
@@ -42,8 +42,8 @@ from tailbeat.link.messages import SIMULATED_FISH
 ANALYSIS = "analysis.json"
 _FORMAT = "tailbeat analysis 1"
 _DIGITS = 9
-_FLOOR_DIGITS = 6
-_BAND = (5.0, 50.0, 95.0)
+_BOUND_DIGITS = 6
+_BAND = (50.0, 5.0, 95.0)  # median, low, high
 
 
 @dataclass(frozen=True)
@@ -107,14 +107,19 @@ class Analysis:
 
     @property
     def best_row(self) -> TrialRow | None:
-        """The best of the last epoch (``verdict.best_of``); None = none is complete and counts."""
-        pairs = [
+        """The best of the last epoch (``best_of``); None = none is complete and counts."""
+        pairs = self.judged
+        best = best_of([score for _, score in pairs])
+        return next((row for row, score in pairs if score is best), None)
+
+    @property
+    def judged(self) -> list[tuple[TrialRow, Score]]:
+        """Those of the last epoch that are complete and count."""
+        return [
             (row, score_of(trial))
             for row, trial in zip(self.rows, self.trials, strict=True)
             if row.counts and row.complete and row.epoch == self.epoch
         ]
-        best = best_of([score for _, score in pairs])
-        return next((row for row, score in pairs if score is best), None)
 
     @property
     def reference(self) -> Reference:
@@ -123,12 +128,10 @@ class Analysis:
             self.beat_s, self.reference_m_s.astype(np.float32), self.reference_name or "reference"
         )
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> Any:
         """As plain JSON values, without the trials' samples."""
         held = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "trials"}
-        found = _rounded({"format": _FORMAT, **held})
-        assert isinstance(found, dict)
-        return found
+        return _rounded(plain({"format": _FORMAT, **held}))
 
 
 def analyse(experiment: Experiment) -> Analysis:
@@ -138,7 +141,7 @@ def analyse(experiment: Experiment) -> Analysis:
     problems = experiment.raw_problems()
     sound, names = _sound_trials(experiment, problems)
     identified = _identified(experiment, problems)
-    held, crc = _reference(experiment, [kept.trial for kept in sound])
+    held, crc = _reference(experiment, [kept.trial for kept in sound], problems)
     told = told_of(experiment.journal.entries(), names)
     kept = [
         (one.path, one.trial)
@@ -146,25 +149,14 @@ def analyse(experiment: Experiment) -> Analysis:
         if _is_of(one.trial, crc, one.path.name, identified, problems)
     ]
     if not kept:
-        raise InputError(
-            f"{experiment.name} holds no trials{_because(problems)}.",
-            "Swim one (tailbeat trial run), or pull one: tailbeat trial pull --into FOLDER",
-        )
+        raise _no_trials(experiment, problems)
     recorded = [trial for _, trial in kept]
     rows = rows_of(kept, told, _judges_gaps(settings))
     noise = noise_of(rows, recorded)
     rows = with_noise(rows, *noise)
     limit = recorded[-1].params.get("AMP_MAX_RAD", math.pi / 4)
-    bound = _floor(identified, settings, held, limit)
-    problems += [
-        f"trial {row.trial} swam up to {math.degrees(abs(row.straight.worst_yaw_rad)):.0f} degrees"
-        f" off its way: its speed along the way is less than its own"
-        for row in rows
-        if row.straight is not None and row.straight.crooked and row.counts
-    ]
-    problems += _saturated(rows, recorded, identified)
-    problems += _of_others(str(settings.get("unique_id", "")), rows, recorded)
-    problems += _begun_anew(rows)
+    bound = _error_bound(identified, settings, held, limit)
+    problems += _remarks(str(settings.get("unique_id", "")), rows, recorded, identified)
     return Analysis(
         name=experiment.stable_name,
         simulated=bool(settings.get("simulated"))
@@ -192,23 +184,32 @@ def analyse(experiment: Experiment) -> Analysis:
     )
 
 
-def _begun_anew(rows: Sequence[TrialRow]) -> list[str]:
-    """One line for each time the board did."""
-    return [
+def _remarks(
+    unique_id: str, rows: Sequence[TrialRow], trials: Sequence[Trial], identified: Identified | None
+) -> list[str]:
+    """One line for each trial that was not straight, one when the amplitude limit holds the last
+    back, one for each trial of another fish, and one for each time the board began anew."""
+    crooked = [
+        f"trial {row.trial} swam up to {math.degrees(abs(row.straight.worst_yaw_rad)):.0f} degrees"
+        f" off its way: its speed along the way is less than its own"
+        for row in rows
+        if row.straight is not None and row.straight.crooked and row.counts
+    ]
+    counting = [trial for row, trial in zip(rows, trials, strict=True) if row.counts]
+    found = saturation_of(counting[-1], identified, counting) if counting else None
+    saturated = [] if found is None else [f"trial {counting[-1].number} is {found.text}"]
+    others = [
+        f"{row.file} is of another fish ({trial.unique_id})"
+        for row, trial in zip(rows, trials, strict=True)
+        if unique_id and trial.unique_id and trial.unique_id != unique_id
+    ]
+    anew = [
         f"the board began anew with trial {row.trial} ({row.file}): iterations count from"
         f" {row.iteration} again, and figures and comparisons are of the trials since the last time"
         for before, row in pairwise(rows)
         if row.epoch != before.epoch
     ]
-
-
-def _of_others(unique_id: str, rows: Sequence[TrialRow], trials: Sequence[Trial]) -> list[str]:
-    """One line for each trial of another fish than the experiment's."""
-    return [
-        f"{row.file} is of another fish ({trial.unique_id})"
-        for row, trial in zip(rows, trials, strict=True)
-        if unique_id and trial.unique_id and trial.unique_id != unique_id
-    ]
+    return [*crooked, *saturated, *others, *anew]
 
 
 def write_analysis(experiment: Experiment) -> Path:
@@ -218,8 +219,12 @@ def write_analysis(experiment: Experiment) -> Path:
     return path
 
 
-def _because(problems: Sequence[str]) -> str:
-    return f" that can be read ({problems[0]})" if problems else ""
+def _no_trials(experiment: Experiment, problems: Sequence[str]) -> InputError:
+    why = f" that can be read ({problems[0]})" if problems else ""
+    return InputError(
+        f"{experiment.name} holds no trials{why}.",
+        "Run one (tailbeat trial run), or pull one: tailbeat trial pull --into FOLDER",
+    )
 
 
 def _sound_trials(experiment: Experiment, problems: list[str]) -> tuple[list[Kept], dict[str, str]]:
@@ -248,7 +253,9 @@ def _identified(experiment: Experiment, problems: list[str]) -> Identified | Non
         return None
 
 
-def _reference(experiment: Experiment, trials: Sequence[Trial]) -> tuple[Reference, int]:
+def _reference(
+    experiment: Experiment, trials: Sequence[Trial], problems: list[str]
+) -> tuple[Reference, int]:
     """The experiment's own and its CRC; in a folder made by hand those of the last trial."""
     name = str(experiment.settings().get("reference", ""))
     path = experiment.raw / "reference.bin"
@@ -256,10 +263,7 @@ def _reference(experiment: Experiment, trials: Sequence[Trial]) -> tuple[Referen
         record = decode_reference(path.read_bytes())
         return Reference(record.beat_s, record.speed_m_s, name), record.crc
     if not trials:
-        raise InputError(
-            f"{experiment.name} holds no trials that can be read.",
-            "Swim one (tailbeat trial run), or pull one: tailbeat trial pull --into FOLDER",
-        )
+        raise _no_trials(experiment, problems)
     last = trials[-1]
     wanted = np.nan_to_num(last.beats.reference_m_s)
     return Reference(last.beat_s, wanted, name), last.reference_crc
@@ -288,60 +292,40 @@ def _judges_gaps(settings: Mapping[str, Any]) -> bool:
     return "made" not in settings or settings.get("judging", 0) == JUDGING
 
 
-def _saturated(
-    rows: Sequence[TrialRow], trials: Sequence[Trial], identified: Identified | None
-) -> list[str]:
-    """Of the last trial that counts, when the amplitude limit holds it back."""
-    counting = [trial for row, trial in zip(rows, trials, strict=True) if row.counts]
-    if not counting or (found := saturation_of(counting[-1], identified, counting)) is None:
-        return []
-    return [f"trial {counting[-1].number} is {found.text}"]
-
-
 def _band(rows: Sequence[TrialRow]) -> IterationStatistics:
     last = max((row.epoch for row in rows), default=0)
     counting = [row for row in rows if row.counts and row.complete and row.epoch == last]
     iterations = sorted({row.iteration for row in counting})
     groups = [[row for row in counting if row.iteration == i] for i in iterations]
-    columns = []
+    columns: list[F64] = []
     for name in ("max_abs_error_m_s", "rms_error_m_s"):
         values = [np.percentile([getattr(r, name) for r in group], _BAND) for group in groups]
-        columns.append(np.array(values, dtype=np.float64).reshape(-1, len(_BAND)).T)
-    largest, rms = columns
+        columns += list(np.array(values, dtype=np.float64).reshape(-1, len(_BAND)).T)
+    counts = [len(group) for group in groups]
     return IterationStatistics(
-        iteration=np.array(iterations, dtype=np.int64),
-        swims=np.array([len(group) for group in groups], dtype=np.int64),
-        max_median_m_s=largest[1],
-        max_low_m_s=largest[0],
-        max_high_m_s=largest[2],
-        rms_median_m_s=rms[1],
-        rms_low_m_s=rms[0],
-        rms_high_m_s=rms[2],
+        np.array(iterations, dtype=np.int64), np.array(counts, dtype=np.int64), *columns
     )
 
 
-def _floor(
+def _error_bound(
     identified: Identified | None, settings: Mapping[str, Any], held: Reference, limit: float
 ) -> tuple[float, float, str]:
-    """(smallest max|e|, max|e| of the least-squares input, of what)."""
-
+    """(smallest max|e|, max|e| of the least-squares input, of what), without the digits that are
+    another processor's own."""
     simulator = settings.get("simulator")
     if identified is not None:
-        found = error_bound(identified.model, held, limit)
-        return (*_of_a_fit(found.minimax_m_s, found.lsq_max_abs_m_s), "identified")
-    if isinstance(simulator, dict) and settings.get("plant"):
+        found, by = error_bound(identified.model, held, limit), "identified"
+    elif isinstance(simulator, dict) and settings.get("plant"):
         values = {name: v for name, v in simulator.items() if name not in ("seed", "plant")}
         try:
-            found = error_bound(plant_config(str(settings["plant"]), values), held, limit)
+            plant = plant_config(str(settings["plant"]), values)
+            found, by = error_bound(plant, held, limit), "simulator"
         except InputError:  # a simulator of another version had other settings
             return math.nan, math.nan, ""
-        return (*_of_a_fit(found.minimax_m_s, found.lsq_max_abs_m_s), "simulator")
-    return math.nan, math.nan, ""
-
-
-def _of_a_fit(largest_m_s: float, squares_m_s: float) -> tuple[float, float]:
-    """Without the digits that are another processor's own."""
-    return round_to(largest_m_s, _FLOOR_DIGITS), round_to(squares_m_s, _FLOOR_DIGITS)
+    else:
+        return math.nan, math.nan, ""
+    both = found.minimax_m_s, found.lsq_max_abs_m_s
+    return round_to(both[0], _BOUND_DIGITS), round_to(both[1], _BOUND_DIGITS), by
 
 
 def round_to(value: float, digits: int = _DIGITS) -> float:
@@ -350,15 +334,12 @@ def round_to(value: float, digits: int = _DIGITS) -> float:
 
 
 def _rounded(value: Any) -> Any:
-    """Plain values, floats with nine digits."""
+    """Plain values with floats of nine digits."""
     if isinstance(value, dict):
         return {key: _rounded(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
+    if isinstance(value, list):
         return [_rounded(item) for item in value]
-    if isinstance(value, float):
-        return round_to(value) if math.isfinite(value) else None
-    again = plain(value)
-    return again if again is value else _rounded(again)
+    return round_to(value) if isinstance(value, float) else value
 
 
 WATER_TEMPERATURE = "water_temperature_degc"

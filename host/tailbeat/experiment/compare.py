@@ -20,7 +20,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.experiment.analysis import Analysis
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.trial_rows import TrialRow, student_t
-from tailbeat.learning.convergence import assess_all, best_of, score_of
+from tailbeat.learning.convergence import assess_all, best_of
 
 WHAT = {"max": "max_abs_error_m_s", "rms": "rms_error_m_s"}
 _SETTINGS = ("fish", "law", "configuration", "operator", "unique_id", "firmware", "simulated")
@@ -76,12 +76,8 @@ def count(analysis: Analysis, iterations: Sequence[int] | None = None) -> Counte
     """The trials that count, of the last epoch: those of ``iterations``, or by default the repeats
     of the best input, without the trial that made it the best (a lucky one more often than not),
     and where those are fewer than two all complete ones from the iteration on from which the
-    verdict saw no more progress. Never discarded or undecided swims, nor such as were cut short."""
-    pairs = [
-        (row, score_of(trial))
-        for row, trial in zip(analysis.rows, analysis.trials, strict=True)
-        if row.counts and row.complete and row.epoch == analysis.epoch
-    ]
+    assessment saw no more progress. Never discarded, undecided or incomplete ones."""
+    pairs = analysis.judged
     if iterations is not None:
         return Counted([row for row, _ in pairs if row.iteration in iterations])
     scores = [score for _, score in pairs]
@@ -145,25 +141,12 @@ def _compared(
 ) -> Comparison:
     """Of the values alone."""
     difference, low, high, p = welch(a, b)
-    g, g_low, g_high = hedges(a, b)
-    repeats = repeats_needed(g)
-    return Comparison(
-        what=what,
-        a_m_s=tuple(a),
-        b_m_s=tuple(b),
-        difference_m_s=difference,
-        difference_low_m_s=low,
-        difference_high_m_s=high,
-        g=g,
-        g_low=g_low,
-        g_high=g_high,
-        p=p,
-        repeats=repeats,
-        words=_words(
-            what, (difference, low, high), repeats, names, _swims((len(a), len(b)), worse)
-        ),
-        worse=worse,
-    )
+    effect = hedges(a, b)
+    repeats = repeats_needed(effect[0])
+    trials = _trials((len(a), len(b)), worse)
+    words = _words(what, (difference, low, high), repeats, names, trials)
+    sides = tuple(a), tuple(b)
+    return Comparison(what, *sides, difference, low, high, *effect, p, repeats, words, worse)
 
 
 def welch(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
@@ -283,7 +266,7 @@ def _words(
     )
 
 
-def _swims(trials: tuple[int, int], worse: tuple[int, int]) -> str:
+def _trials(trials: tuple[int, int], worse: tuple[int, int]) -> str:
     """How many, and how many of them stand out."""
     of = f", {worse[1]} and {worse[0]} of them worse than noise explains" if any(worse) else ""
     return f"{trials[1]} swims against {trials[0]}{of}"

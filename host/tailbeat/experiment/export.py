@@ -93,11 +93,15 @@ def export(
         "slots": _slot_table(analysis),
     }
     writers = {
-        "csv": lambda: _write_csv(folder, tables),
-        "mat": lambda: _write_mat(folder, analysis),
-        PARQUET: lambda: _write_parquet(folder, tables),
+        "csv": lambda: _csv_files(tables),
+        "mat": lambda: {"trials.mat": _mat_file(analysis)},
+        PARQUET: lambda: _parquet_files(tables),
     }
-    return [path for name in formats for path in writers[name]()]
+    paths = []
+    for name, content in ((n, c) for one in formats for n, c in writers[one]().items()):
+        paths.append(folder / name)
+        write_whole(paths[-1], content, _MAKE_ROOM)
+    return paths
 
 
 def missing_formats() -> str:
@@ -175,17 +179,15 @@ def _beside(analysis: Analysis, counts: list[int]) -> Table:
     }
 
 
-def _write_csv(folder: Path, tables: dict[str, Table]) -> list[Path]:
-    paths = []
+def _csv_files(tables: dict[str, Table]) -> dict[str, bytes]:
+    files = {}
     for name, table in tables.items():
         text = io.StringIO()
         out = csv.writer(text, lineterminator="\n")
         out.writerow(table)
         out.writerows(map(_cells, zip(*table.values(), strict=True)))
-        path = folder / f"{name}.csv"
-        write_whole(path, text.getvalue(), _MAKE_ROOM)
-        paths.append(path)
-    return paths
+        files[f"{name}.csv"] = text.getvalue().encode()
+    return files
 
 
 def _cells(row: tuple[Any, ...]) -> list[Any]:
@@ -198,7 +200,7 @@ def _cells(row: tuple[Any, ...]) -> list[Any]:
     return cells
 
 
-def _write_mat(folder: Path, analysis: Analysis) -> list[Path]:
+def _mat_file(analysis: Analysis) -> bytes:
     """Matrices of shape (trials, beats), filled up with NaN, and vectors per trial."""
     from scipy.io import savemat
 
@@ -224,9 +226,7 @@ def _write_mat(folder: Path, analysis: Analysis) -> list[Path]:
     content["simulated"] = float(analysis.simulated)
     file = io.BytesIO()
     savemat(file, content, oned_as="column", do_compression=True)
-    path = folder / "trials.mat"
-    write_whole(path, _headed(file.getvalue(), analysis), _MAKE_ROOM)
-    return [path]
+    return _headed(file.getvalue(), analysis)
 
 
 def _headed(content: bytes, analysis: Analysis) -> bytes:
@@ -236,14 +236,12 @@ def _headed(content: bytes, analysis: Analysis) -> bytes:
     return text.ljust(_MAT_HEAD_BYTES) + content[_MAT_HEAD_BYTES:]
 
 
-def _write_parquet(folder: Path, tables: dict[str, Table]) -> list[Path]:
+def _parquet_files(tables: dict[str, Table]) -> dict[str, bytes]:
     arrow = need(_ARROW, "export", _NEEDS_ARROW)
     parquet = need("pyarrow.parquet", "export", _NEEDS_ARROW)
-    paths = []
-    for name in ("beats", "slots", "trials"):
+    files = {}
+    for name in sorted(tables):
         file = io.BytesIO()
         parquet.write_table(arrow.table(tables[name]), file)
-        path = folder / f"{name}.parquet"
-        write_whole(path, file.getvalue(), _MAKE_ROOM)
-        paths.append(path)
-    return paths
+        files[f"{name}.parquet"] = file.getvalue()
+    return files

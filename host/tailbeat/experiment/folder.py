@@ -25,6 +25,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -331,13 +332,7 @@ def _slug(text: str) -> str:
 
 
 def _tool() -> dict[str, str]:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        tailbeat = version("tailbeat")
-    except PackageNotFoundError:
-        tailbeat = "unknown"
-    return {"tailbeat": tailbeat, "python": sys.version.split()[0]}
+    return {"tailbeat": version("tailbeat"), "python": sys.version.split()[0]}
 
 
 LOCK = ".lock"

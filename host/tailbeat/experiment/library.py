@@ -23,7 +23,6 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import sync_folder, write_whole
 from tailbeat.core.reference import Reference
-from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.store import Kept, TrialStore, read_kept, trial_content
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
@@ -76,19 +75,11 @@ class TrialLibrary(TrialStore):
             sync_folder(self._marks)
             sync_folder(self.folder)
 
-    def trials(self) -> list[Trial]:
-        """In the order they were kept. Damaged files are left out."""
-        return self.load()[0]
-
-    def load(self) -> tuple[list[Trial], list[str]]:
-        """All trials, in the order they were kept, and one line for each file that is not used and
-        why. Of a trial kept twice, the second time with more in its file, only that counts."""
-        found, problems = self.kept()
-        return [kept.trial for kept in found], problems
-
     def kept(self, latest: Path | None = None) -> tuple[list[Kept], list[str]]:
-        """The same with files and marks. ``latest``: a trial's file that is to be the last of all,
-        kept or not (a board that starts again may have swum one like it before)."""
+        """All trials, in the order they were kept, and one line for each file that is not used and
+        why. Of a trial kept twice, the second time with more in its file, only that counts.
+        ``latest``: a trial's file that is to be the last of all, kept or not (a board that starts
+        again may have executed one like it before)."""
         found, problems = read_kept(_sorted(self._trials, "*.ulg"), _is_sound, latest)
         return [replace(kept, mark=self._mark_of(kept.path)) for kept in found], problems
 

@@ -223,7 +223,9 @@ def relearn(analysis: Analysis, held: Snapshot | None = None) -> Relearned:
 
 def _relearned(analysis: Analysis, held: Snapshot | None, judges_gaps: bool) -> Relearned:
     found = Relearned()
-    board = _Board(analysis.reference_m_s.astype(np.float32), analysis.beat_s, judges_gaps)
+    reference_m_s = analysis.reference_m_s.astype(np.float32)
+    memory = LawMemory(len(reference_m_s))
+    board = _Board(reference_m_s, analysis.beat_s, judges_gaps, memory)
     pending: tuple[TrialRow, Trial] | None = None
     aside: _Board | None = None
     for row, trial in zip(analysis.rows, analysis.trials, strict=True):
@@ -314,26 +316,23 @@ def _against_state(board: _Board, trial: Trial, held: Snapshot | None, found: Re
     found.not_learned.append((trial.number, why))
 
 
+@dataclass
 class _Board:
     """A board's memory and the trials it looks back on. ``whole``: all of it is known since the
     first trial."""
 
-    def __init__(self, reference_m_s: F32, beat_s: float, judges_gaps: bool) -> None:
-        self.reference_m_s, self.beat_s = reference_m_s, beat_s
-        self.judges_gaps = judges_gaps
-        self.beats = len(reference_m_s)
-        self.memory = LawMemory(self.beats)
-        self.begun = False
-        self.whole = False
-        self.past_doubted = False
-        self.rolled_back = False
-        self.refusal = ""
+    reference_m_s: F32
+    beat_s: float
+    judges_gaps: bool
+    memory: LawMemory
+    begun: bool = False
+    whole: bool = False
+    past_doubted: bool = False
+    rolled_back: bool = False
+    refusal: str = ""
 
     def copy(self) -> _Board:
-        other = _Board(self.reference_m_s, self.beat_s, self.judges_gaps)
-        other.memory = self.memory.copy()
-        other.begun, other.whole, other.past_doubted = self.begun, self.whole, self.past_doubted
-        return other
+        return replace(self, memory=self.memory.copy(), rolled_back=False, refusal="")
 
     def begins(self, trial: Trial) -> bool:
         """Whether the board had learned nothing when ``trial`` swam."""
@@ -364,7 +363,7 @@ class _Board:
 
     def same(self, amplitude_rad: F32) -> bool:
         """Bit for bit, where the file tells (a trial that was cut short tells of its beats)."""
-        if not self.begun or len(amplitude_rad) != self.beats:
+        if not self.begun or len(amplitude_rad) != self.memory.beats:
             return False
         known = np.isfinite(amplitude_rad)
         mine = self.memory.amplitude_rad
@@ -393,7 +392,7 @@ class _Board:
         if not measured.any():
             self.refusal = "its file has no speeds: they were uploaded after it was pulled"
             return
-        complete = trial.end_fault == 0 and trial.executed_beats == self.beats
+        complete = trial.end_fault == 0 and trial.executed_beats == self.memory.beats
         complete = complete and (self.judges_gaps or bool(measured.all()))
         law = Law.from_params(params, self.beat_s)
         rollback_ratio = params.get("ROLLBACK_RATIO", 0.0)

@@ -161,22 +161,16 @@ class RawFiles(TrialStore):
         InputError
             Another content has this name, or the disk is full.
         """
+        path, digest = self.raw / name, hashlib.sha256(content).hexdigest()
         with self.changing():
-            return self._add_raw(name, content)
-
-    def _add_raw(self, name: str, content: bytes) -> Path:
-        path = self.raw / name
-        digest = hashlib.sha256(content).hexdigest()
-        if path.exists():
-            if _digest_of(path) == digest:
-                self._list_sum(digest, name)  # an earlier call may have ended before it did
-                return path
-            raise InputError(
-                f"{path} is there already with other content.",
-                "Raw files are never overwritten; start a new experiment.",
-            )
-        self.add_file(path, content)
-        self._list_sum(digest, name)
+            if not path.exists():
+                self.add_file(path, content)
+            elif _digest_of(path) != digest:
+                raise InputError(
+                    f"{path} is there already with other content.",
+                    "Raw files are never overwritten; start a new experiment.",
+                )
+            self._list_sum(digest, name)  # an earlier call may have ended before it did
         return path
 
     def keep_raw(self, name: str, content: bytes) -> Path:
@@ -204,10 +198,10 @@ class RawFiles(TrialStore):
             for number in range(1, _TAKEN_MAX):
                 path = self.raw / (name if number == 1 else f"{stem}-{number}{dot}{ending}")
                 if not path.exists():
-                    return self._add_raw(path.name, content)
+                    return self.add_raw(path.name, content)
                 held = path.read_bytes()
                 if held.startswith(content):
-                    return self._add_raw(path.name, held)
+                    return self.add_raw(path.name, held)
         raise InputError(f"{self.raw} is full of {name}.", "Start a new experiment.")
 
     def keep_trial(self, path: Path) -> Path:

@@ -16,7 +16,7 @@ import pytest
 from tailbeat.app.demo import DemoOptions, run_demo
 from tailbeat.core.errors import InputError
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.experiment.analysis import Analysis, _band, _begun_anew, analyse, write_analysis
+from tailbeat.experiment.analysis import Analysis, _band, _remarks, analyse, write_analysis
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.journal import Told
 from tailbeat.experiment.trial_rows import TrialRow, noise_of, rows_of
@@ -194,7 +194,7 @@ def test_a_board_that_began_anew_is_another_epoch() -> None:
     assert band.swims.tolist() == [1, 1]
     assert band.max_median_m_s == pytest.approx([0.05, 0.03])
     assert noise_of(rows, [*day, *anew])[1] == 0
-    (told,) = _begun_anew(rows)
+    (told,) = _remarks("", rows, [*day, *anew], None)
     assert told.startswith("the board began anew with trial 1 (0003.ulg)")
     at_first = made_rows(day[0], anew[0])
     assert [row.epoch for row in at_first] == [0, 1]

@@ -14,7 +14,7 @@ import pytest
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.records import encode_reference
-from tailbeat.core.trial_file import read_trial
+from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.library import DISCARDED, RUN, TrialLibrary, library_of
 from tailbeat.session.trial import run_trial
 
@@ -39,8 +39,12 @@ def library(tmp_path: Path) -> TrialLibrary:
     return TrialLibrary.of(FISH, tmp_path)
 
 
+def trials_of(library: TrialLibrary) -> list[Trial]:
+    return [kept.trial for kept in library.kept()[0]]
+
+
 def test_nothing_is_made_before_something_is_kept(library: TrialLibrary) -> None:
-    assert library.load() == ([], [])
+    assert library.kept() == ([], [])
     assert library.speeds() == []
     assert library.proposals() == []
     assert library.identified() is None
@@ -52,9 +56,9 @@ def test_trials_come_back_in_the_order_they_came(library: TrialLibrary, raw: Pat
         kept = library.keep(raw / f"{number:04d}.ulg")
         assert kept.read_bytes() == (raw / f"{number:04d}.ulg").read_bytes()
         assert stat.S_IMODE(kept.stat().st_mode) == 0o444
-    assert [trial.number for trial in library.trials()] == [2, 1, 3]
+    assert [trial.number for trial in trials_of(library)] == [2, 1, 3]
     again = read_trial(raw / "0002.ulg")
-    np.testing.assert_array_equal(library.trials()[0].beats.speed_m_s, again.beats.speed_m_s)
+    np.testing.assert_array_equal(trials_of(library)[0].beats.speed_m_s, again.beats.speed_m_s)
     assert [swim.trial for swim in library.speeds()] == [2, 1, 3]
 
 
@@ -75,9 +79,9 @@ def test_a_file_that_grew_takes_the_place_of_its_beginning(
     library.keep(short)
     library.keep(raw / "0002.ulg")
     kept = library.keep(raw / "0001.ulg")
-    assert [(t.number, t.end) for t in library.trials()] == [(1, "complete"), (2, "complete")]
+    assert [(t.number, t.end) for t in trials_of(library)] == [(1, "complete"), (2, "complete")]
     assert library.keep(short) != kept  # the beginning is there already
-    assert len(library.trials()) == 2
+    assert len(trials_of(library)) == 2
 
 
 def test_marks_are_the_contents_and_stay(library: TrialLibrary, raw: Path) -> None:
@@ -87,7 +91,7 @@ def test_marks_are_the_contents_and_stay(library: TrialLibrary, raw: Path) -> No
     assert [kept.mark for kept in library.kept()[0]] == [RUN, DISCARDED]
     assert library.keep(raw / "0002.ulg") == second
     assert [swim.trial for swim in library.speeds()] == [1]
-    assert [trial.number for trial in library.trials()] == [1, 2]
+    assert [trial.number for trial in trials_of(library)] == [1, 2]
 
 
 def test_the_latest_is_the_last_kept_or_not(library: TrialLibrary, raw: Path) -> None:
@@ -96,7 +100,7 @@ def test_the_latest_is_the_last_kept_or_not(library: TrialLibrary, raw: Path) ->
     again = library.kept(raw / "0001.ulg")[0]
     assert [kept.trial.number for kept in again] == [2, 1]
     assert [swim.trial for swim in library.speeds(raw / "0003.ulg")] == [1, 2, 3]
-    assert len(library.trials()) == 2
+    assert len(trials_of(library)) == 2
 
 
 def test_numbers_that_start_again_are_other_trials(
@@ -109,7 +113,7 @@ def test_numbers_that_start_again_are_other_trials(
     library.keep(raw / "0001.ulg")
     library.keep(raw / "0002.ulg")
     library.keep(tmp_path / "0001.ulg")
-    assert [trial.number for trial in library.trials()] == [1, 2, 1]
+    assert [trial.number for trial in trials_of(library)] == [1, 2, 1]
 
 
 def test_a_damaged_file_is_named_and_the_trial_can_be_kept_again(
@@ -120,13 +124,13 @@ def test_a_damaged_file_is_named_and_the_trial_can_be_kept_again(
     first.chmod(0o644)
     first.write_bytes(first.read_bytes()[:-5])
     (first.parent / "000009_0009_0011223344556677.ulg").write_bytes(b"no trial")
-    trials, problems = library.load()
-    assert [trial.number for trial in trials] == [2]
+    kept, problems = library.kept()
+    assert [one.trial.number for one in kept] == [2]
     assert len(problems) == 2
     assert str(first) in problems[0]
     again = library.keep(raw / "0001.ulg")
     assert again != first
-    assert [trial.number for trial in library.trials()] == [2, 1]
+    assert [trial.number for trial in trials_of(library)] == [2, 1]
 
 
 def test_what_is_no_trial_is_refused(library: TrialLibrary, tmp_path: Path) -> None:
@@ -181,8 +185,8 @@ def test_what_a_crash_left_behind_is_no_trial(library: TrialLibrary, raw: Path) 
     folder = library.keep(raw / "0001.ulg").parent
     (folder / "000002.part").write_bytes(b"half a tri")
     library.keep(raw / "0002.ulg")
-    assert [trial.number for trial in library.trials()] == [1, 2]
-    assert library.load()[1] == []
+    assert [trial.number for trial in trials_of(library)] == [1, 2]
+    assert library.kept()[1] == []
 
 
 def test_proposals_are_plain_json(library: TrialLibrary) -> None:

@@ -340,7 +340,7 @@ def history(judges_gaps: bool) -> Analysis:
     errors and a missing beat."""
     params = {"AMP_MAX_RAD": made.LIMIT_RAD, "ILC_GAIN": 4.0, "ILC_LEAD": 1.0, "ILC_END_EXT": 0.0}
     params |= {"ILC_Q_LEN": 1.0, "DU_MAX_RAD": 0.0, "ILC_KD": 0.0, "ROLLBACK_RATIO": 1.3}
-    held = _Board(made.reference(), 1.0, judges_gaps)
+    held = _Board(made.reference(), 1.0, judges_gaps, LawMemory(len(made.reference())))
     trials, rows = [], []
     for number, error in enumerate((0.02, 0.01, 0.0145, 0.0145, 0.012), 1):
         recorded = made.trial(number, number, error, gaps=(7,) if number == 2 else ())

@@ -5,8 +5,8 @@ Two doors. By default it listens on this computer only, and every request must n
 With a token nothing is answered without it: the first visit brings it in the address, after that a
 cookie does that no script can read and no other site makes the browser send.
 
-The rules are applied twice: by ``ui.gate`` before the web server gets a connection, and here.
-ABORT is answered by whoever sees it first, however much there is to do behind.
+The gate applies these rules before the web server gets a connection, which serves one request. It
+answers ABORT itself, however much there is to do behind.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ import ipaddress
 import re
 import secrets
 import socket
-from collections.abc import Awaitable, Callable, MutableMapping, Sequence
+from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import dataclass
+from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -25,9 +26,9 @@ Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
+Headers = tuple[tuple[bytes, bytes], ...]
 
 _TOKEN_BYTES = 12  # 96 bits, 16 characters: it may have to be typed
-_POLICY_VIOLATION = 1008
 # A foreign page may neither frame the buttons nor learn the token from a link, and whatever a
 # library might ask of another computer is refused by the browser.
 # One request for each connection: the next one, ABORT perhaps, comes through the gate again.
@@ -50,8 +51,27 @@ _WELCOME = (
 )
 
 
-ABORTED = '{"asked":true}'
-JSON_TYPE, TEXT_TYPE, _HTML_TYPE = "application/json", "text/plain", "text/html"
+@dataclass(frozen=True)
+class Reply:
+    """An answer that needs nothing of the page."""
+
+    status: HTTPStatus
+    text: str
+    kind: str = "text/plain"
+    headers: Headers = ()
+
+    def all_headers(self) -> list[tuple[bytes, bytes]]:
+        """With what it says of itself."""
+        return [
+            (b"content-type", f"{self.kind}; charset=utf-8".encode()),
+            (b"content-length", str(len(self.text.encode())).encode()),
+            (b"cache-control", b"no-store"),
+            *self.headers,
+            *HEADERS,
+        ]
+
+
+ABORTED = Reply(HTTPStatus.OK, '{"asked":true}', "application/json")
 _WITHOUT_TOKEN = "give the address with its token, as it was printed"
 
 
@@ -81,19 +101,17 @@ class Rules:
         """Its name."""
         return f"tailbeat_{self.port}"
 
-    def refusal(self, request: Request) -> str:
-        """Why the request is refused; empty = it is not."""
+    def reply(self, request: Request) -> Reply | None:
+        """What is answered at once: a refusal, ``ABORTED``, the cookie for the token that the
+        address brings; None = the page is to answer."""
         if why := self._foreign(request):
-            return why
-        return "" if self.knows(request) or self.is_first(request) else _WITHOUT_TOKEN
-
-    def knows(self, request: Request) -> bool:
-        """Whether the request has the cookie, if one is needed."""
-        return self.token is None or self._is_token(request.cookie(self.cookie))
-
-    def is_first(self, request: Request) -> bool:
-        """Whether the request brings the token in its address."""
-        return not request.websocket and self._is_token(request.query("token"))
+            return Reply(HTTPStatus.FORBIDDEN, f"tailbeat: {why}\n")
+        if self.token is None or self._is_token(request.cookie(self.cookie)):
+            return ABORTED if request.aborts else None
+        if request.websocket or not self._is_token(request.query("token")):
+            return Reply(HTTPStatus.FORBIDDEN, f"tailbeat: {_WITHOUT_TOKEN}\n")
+        cookie = f"{self.cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
+        return Reply(HTTPStatus.OK, _WELCOME, "text/html", ((b"set-cookie", cookie.encode()),))
 
     def _is_token(self, given: str) -> bool:
         """Takes as long for a nearly right token as for any other."""
@@ -127,32 +145,6 @@ class Rules:
             own = socket.gethostname().lower().partition(".")[0]
             return name == "localhost" or name.partition(".")[0] == own
         return True
-
-
-@dataclass(frozen=True)
-class Access:
-    """The door before ``app`` (ASGI). ``token``, ``port``: see Rules. ``abort`` stops the tail and
-    never blocks."""
-
-    app: App
-    token: str | None
-    port: int
-    abort: Callable[[], None]
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket"):
-            await self.app(scope, receive, send)
-            return
-        request, rules = Request.of(scope), Rules(self.token, self.port)
-        if why := rules.refusal(request):
-            await _refuse(scope, receive, send, why)
-        elif not rules.knows(request):
-            await _welcome(scope, send, rules)
-        elif request.aborts:
-            self.abort()
-            await answer(send, 200, ABORTED, JSON_TYPE)
-        else:
-            await self.app(scope, receive, _guarded(send, request.host))
 
 
 @dataclass(frozen=True)
@@ -198,56 +190,19 @@ class Request:
         return parse_qs(self.asked).get(name, [""])[0]
 
 
-async def _welcome(scope: Scope, send: Send, rules: Rules) -> None:
-    cookie = f"{rules.cookie}={rules.token}; HttpOnly; SameSite=Strict; Path=/"
-    headers = [(b"set-cookie", cookie.encode())]
-    await answer(send, 200, _WELCOME, _HTML_TYPE, headers, scope["method"] == "HEAD")
+@dataclass(frozen=True)
+class Guarded:
+    """Before ``app`` (ASGI): puts the headers on every answer."""
 
+    app: App
 
-def _guarded(send: Send, host: str) -> Send:
-    """Puts the headers on every answer."""
-    policy = (b"content-security-policy", _POLICY.format(host=host).encode())
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        host = Request.of(scope).host if "headers" in scope else ""
+        policy = (b"content-security-policy", _POLICY.format(host=host).encode())
 
-    async def guarded(message: MutableMapping[str, Any]) -> None:
-        if message["type"] == "http.response.start":
-            message["headers"] = [*message.get("headers", []), *HEADERS, policy]
-        await send(message)
+        async def guarded(message: MutableMapping[str, Any]) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message.get("headers", []), *HEADERS, policy]
+            await send(message)
 
-    return guarded
-
-
-async def _refuse(scope: Scope, receive: Receive, send: Send, why: str) -> None:
-    if scope["type"] == "websocket":
-        await receive()  # websocket.connect; closing before accepting it answers 403
-        await send({"type": "websocket.close", "code": _POLICY_VIOLATION, "reason": why})
-        return
-    await answer(send, 403, refusal_text(why), TEXT_TYPE, (), scope["method"] == "HEAD")
-
-
-def refusal_text(why: str) -> str:
-    """What the answer says."""
-    return f"tailbeat: {why}\n"
-
-
-def answer_headers(text: str, kind: str) -> list[tuple[bytes, bytes]]:
-    """What an answer says of itself."""
-    return [
-        (b"content-type", f"{kind}; charset=utf-8".encode()),
-        (b"content-length", str(len(text.encode())).encode()),
-        (b"cache-control", b"no-store"),
-    ]
-
-
-async def answer(
-    send: Send,
-    status: int,
-    text: str,
-    kind: str,
-    headers: Sequence[tuple[bytes, bytes]] = (),
-    bare: bool = False,
-) -> None:
-    """A whole answer with the headers of the door. ``bare``: to HEAD."""
-    body = text.encode()
-    all_headers = [*answer_headers(text, kind), *headers, *HEADERS]
-    await send({"type": "http.response.start", "status": status, "headers": all_headers})
-    await send({"type": "http.response.body", "body": b"" if bare else body})
+        await self.app(scope, receive, guarded)

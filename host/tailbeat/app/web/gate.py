@@ -30,16 +30,7 @@ from urllib.parse import unquote
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from tailbeat.app.web.access import (
-    ABORTED,
-    HEADERS,
-    JSON_TYPE,
-    TEXT_TYPE,
-    Request,
-    Rules,
-    answer_headers,
-    refusal_text,
-)
+from tailbeat.app.web.access import ABORTED, Reply, Request, Rules
 
 if TYPE_CHECKING:
     import uvicorn
@@ -53,9 +44,12 @@ _ACCEPTED_AT_ONCE = 16
 _RECEIVED_BYTES = 65536
 _SPARES = 4
 _NO_DESCRIPTOR_S = 0.02
-_FULL = "tailbeat: too many connections; close other pages, then load this one again\n"
 _log = logging.getLogger(__name__)
-_MALFORMED = "tailbeat: this is no HTTP request\n"
+_FULL = Reply(
+    HTTPStatus.SERVICE_UNAVAILABLE,
+    "tailbeat: too many connections; close other pages, then load this one again\n",
+)
+_MALFORMED = Reply(HTTPStatus.BAD_REQUEST, "tailbeat: this is no HTTP request\n")
 
 
 @dataclass(frozen=True)
@@ -236,21 +230,21 @@ class Gate:
             waiting.parser.receive_data(data)
             event = waiting.parser.next_event()
         except h11.RemoteProtocolError:
-            self._answer(waiting, HTTPStatus.BAD_REQUEST, _MALFORMED, TEXT_TYPE)
+            self._answer(waiting, _MALFORMED)
             return
         if isinstance(event, h11.Request):
             self._decide(waiting, Request.of(_scope(event)))
 
     def _decide(self, waiting: _Waiting, request: Request) -> None:
-        if why := self._rules.refusal(request):
-            self._answer(waiting, HTTPStatus.FORBIDDEN, refusal_text(why), TEXT_TYPE)
-        elif request.aborts and self._rules.knows(request):
+        reply = self._rules.reply(request)
+        if reply is ABORTED:
             self._abort()
-            self._answer(waiting, HTTPStatus.OK, ABORTED, JSON_TYPE)
-        elif not self._has_room(waiting.address):
-            self._answer(waiting, HTTPStatus.SERVICE_UNAVAILABLE, _FULL, TEXT_TYPE)
-        else:
+        elif reply is None and not self._has_room(waiting.address):
+            reply = _FULL
+        if reply is None:
             self._pass_on(waiting)
+        else:
+            self._answer(waiting, reply)
 
     def _pass_on(self, waiting: _Waiting) -> None:
         assert self._hand_over is not None
@@ -266,12 +260,12 @@ class Gate:
         each = sum(one == address for one, _ in self._served)
         return len(self._served) < self._limits.served and each < self._limits.served_each
 
-    def _answer(self, waiting: _Waiting, status: HTTPStatus, text: str, kind: str) -> None:
-        head = b"HTTP/1.1 %d %s\r\n" % (status, status.phrase.encode())
-        lines = [name + b": " + value for name, value in (*answer_headers(text, kind), *HEADERS)]
+    def _answer(self, waiting: _Waiting, reply: Reply) -> None:
+        head = b"HTTP/1.1 %d %s\r\n" % (reply.status, reply.status.phrase.encode())
+        lines = [name + b": " + value for name, value in reply.all_headers()]
         connection = self._take(waiting)
         with contextlib.suppress(OSError):
-            connection.send(head + b"\r\n".join(lines) + b"\r\n\r\n" + text.encode())
+            connection.send(head + b"\r\n".join(lines) + b"\r\n\r\n" + reply.text.encode())
             connection.shutdown(socket.SHUT_WR)
         connection.close()
 

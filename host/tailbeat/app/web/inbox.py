@@ -13,7 +13,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.session.outcome import Decision, DecisionKind
 from tailbeat.session.series import Until
 
-KINDS = ("swim", "decide", "answer", "upload", "set", "note", "clear", "fresh")
+KINDS = ("swim", "decide", "answer", "upload", "note", "clear")
 _SINGLE = frozenset(KINDS) - {"note"}  # the first who asks is served, the second hears why not
 
 

@@ -18,17 +18,8 @@ from typing import Any
 
 from nicegui import events, ui
 
-from tailbeat.app.web import view
-from tailbeat.app.web.parts import (
-    Header,
-    Live,
-    decision_dialog,
-    dress,
-    question_dialog,
-    status_card,
-    trials_card,
-    warn,
-)
+from tailbeat.app.web import parts, view
+from tailbeat.app.web.parts import Live, warn
 from tailbeat.app.web.view import LOG_LINES, MOVING, PageState
 from tailbeat.app.web.worker import Worker
 from tailbeat.core.errors import InputError
@@ -402,17 +393,17 @@ class Page:
         ui.add_body_html(f"{_asset('fixed.html')}<script>{_asset('page.js')}</script>")
         ui.colors(primary="#0b4f8a", negative="#b3261e", warning="#ffe2a8")
         with ui.element("div").classes("root") as root:
-            self._header = Header(live)
+            self._header = parts.Header(live)
             with ui.element("main").classes("all"):
                 with ui.element("div").classes("side"):
-                    for part in (status_card, ReferenceCard, notes_card):
+                    for part in (parts.status_card, ReferenceCard, notes_card):
                         part(live)
                 with ui.element("div").classes("main"):
-                    for part in (_charts, trials_card, log_card):
+                    for part in (_charts, parts.trials_card, log_card):
                         part(live)
             self._tick = ui.label("0").classes("tick")
-        decision_dialog(live)
-        question_dialog(live)
+        parts.decision_dialog(live)
+        parts.question_dialog(live)
         moving = "moving", "calm"
         live.look(root, lambda now: moving[now.phase not in (*MOVING, "connecting")], *moving)
         live.look(root, lambda now: "filled" if now.reference_m_s else "bare", "filled", "bare")
@@ -427,7 +418,9 @@ class Page:
         """Draws what has changed."""
         now, silent_s = self._worker.now, self._worker.silent_s()
         self._header.refresh(now, silent_s)
-        dress(self._root, "stale" if view.is_stale(now, silent_s) else "fresh", "stale", "fresh")
+        parts.dress(
+            self._root, "stale" if view.is_stale(now, silent_s) else "fresh", "stale", "fresh"
+        )
         self._periods += 1
         if self._periods % _TICKS == 0:
             self._tick.set_text(str(self._periods))

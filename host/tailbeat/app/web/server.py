@@ -15,29 +15,30 @@ import ipaddress
 import os
 import signal
 import socket
-import struct
 import sys
 import webbrowser
 from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass, field
+from http import HTTPStatus
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import FrameType
 from typing import Any
 
+import ifaddr
 import uvicorn
 from fastapi import FastAPI, HTTPException
 from fastapi.responses import FileResponse, Response
 from nicegui import app, ui
 
 from tailbeat.app.web.access import (
-    Access,
     App,
+    Guarded,
     Receive,
+    Reply,
     Rules,
     Scope,
     Send,
-    answer,
     is_loopback,
     new_token,
 )
@@ -47,7 +48,6 @@ from tailbeat.app.web.worker import Worker
 from tailbeat.core.errors import ConnectError, TailbeatError, reason
 from tailbeat.core.trial_file import beats_csv, read_trial
 
-_SIOCGIFADDR = 0x8915
 _ANY = ("0.0.0.0", "::")
 
 
@@ -55,32 +55,9 @@ def reached_at(host: str) -> list[str]:
     """The hosts to put into an address for a server that listens on ``host``; at least one."""
     if host not in _ANY:
         return [f"[{host}]" if ":" in host else host]
-    found = dict.fromkeys([*_of_interfaces(), *_of_name()])
-    usual = [one for one in found if not ipaddress.ip_address(one).is_loopback]
-    return usual or ["127.0.0.1"]
-
-
-def _of_interfaces() -> list[str]:
-    """Linux tells the address of every interface; nothing is sent."""
-    try:
-        from fcntl import ioctl
-    except ImportError:
-        return []
-    found = []
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
-        for _, name in socket.if_nameindex():
-            with contextlib.suppress(OSError):  # an interface without an address
-                request = struct.pack("256s", name.encode()[:15])
-                answer = ioctl(asked.fileno(), _SIOCGIFADDR, request)
-                found.append(socket.inet_ntoa(answer[20:24]))
-    return found
-
-
-def _of_name() -> list[str]:
-    with contextlib.suppress(OSError):
-        entries = socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)
-        return [str(entry[4][0]) for entry in entries]
-    return []
+    found = [ip.ip for adapter in ifaddr.get_adapters() for ip in adapter.ips if ip.is_IPv4]
+    usual = [str(one) for one in found if not ipaddress.ip_address(str(one)).is_loopback]
+    return list(dict.fromkeys(usual)) or ["127.0.0.1"]
 
 
 _BACKLOG = 1024
@@ -160,15 +137,13 @@ def serve(worker: Worker, place: ListenAddress, show: bool = False) -> None:
     )
     if show:
         app.on_startup(lambda: _open(place.urls[0]))
-    in_turn = Turns(outer)
 
     def abort() -> None:
         worker.ask("abort")
 
-    door = Access(in_turn, place.token, place.port, abort)
     gate = Gate(place.listener, Rules(place.token, place.port), abort)
     config = uvicorn.Config(
-        door,
+        Guarded(Turns(outer)),
         interface="asgi3",
         loop="asyncio",
         http="h11",  # as the gate, so that both read a header alike
@@ -210,7 +185,7 @@ def serve_downloads(worker: Worker) -> None:
     """``/raw/NAME``: a log; ``/beats/NAME.csv``: its beats. Only those in the trial list."""
 
     def file_of(name: str) -> Path:
-        path = worker.raw_file(name)
+        path = worker.trials.raw_file(name)
         if path is None or not path.is_file():
             raise HTTPException(404, "there is no such trial")
         return path
@@ -237,10 +212,13 @@ WAITING_MAX = 12  # pages of 0.1 to 0.3 s each: longer than that nobody waits fo
 _AGAIN_S = 3
 _PASSES = 8  # of the event loop: a connection is taken, read and answered in five
 _LIGHT = ("/_nicegui", "/raw/", "/beats/")  # files, read by other threads
-_LATER = (
+_LATER = Reply(
+    HTTPStatus.SERVICE_UNAVAILABLE,
     f'<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="{_AGAIN_S}">'
     '<meta name="viewport" content="width=device-width"><title>tailbeat</title>'
-    "<p>tailbeat: many ask for the page at once; it is asked for again in a moment."
+    "<p>tailbeat: many ask for the page at once; it is asked for again in a moment.",
+    "text/html",
+    ((b"retry-after", str(_AGAIN_S).encode()),),
 )
 
 
@@ -257,8 +235,9 @@ class Turns:
         if scope["type"] != "http" or str(scope["path"]).startswith(_LIGHT):
             await self.app(scope, receive, send)
         elif self._waiting >= WAITING_MAX:
-            again = [(b"retry-after", str(_AGAIN_S).encode())]
-            await answer(send, 503, _LATER, "text/html", again, scope["method"] == "HEAD")
+            head = {"status": _LATER.status, "headers": _LATER.all_headers()}
+            await send({"type": "http.response.start", **head})
+            await send({"type": "http.response.body", "body": _LATER.text.encode()})
         else:
             await self._in_turn(scope, receive, send)
 

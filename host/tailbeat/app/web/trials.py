@@ -11,7 +11,7 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.reference import Reference, ReferenceLimits
 from tailbeat.experiment import current as notes
 from tailbeat.experiment.analysis import analyse
-from tailbeat.experiment.current import begin, current, make, note_board, note_set, require_same
+from tailbeat.experiment.current import begin, current, make, require_same
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import name_reference
 
@@ -54,10 +54,10 @@ class PageTrials:
     def for_series(self, fish: Fish) -> Experiment:
         """The one that the next trial is added to."""
         if self.experiment is None or self._is_of_another_run(fish, self.experiment):
-            return self.begin(fish)
+            return self._begin(fish)
         return self.experiment
 
-    def begin(self, fish: Fish) -> Experiment:
+    def _begin(self, fish: Fish) -> Experiment:
         """A new one."""
         named = self._uploaded
         if named is not None and named.crc == fish.status().reference_crc:
@@ -112,15 +112,6 @@ class PageTrials:
         self._screen.say(
             f"reference {reference.name}: {reference.beats} beats, {reference.travel_m:.2f} m"
         )
-
-    def set_param(self, fish: Fish, name: str, value: float) -> None:
-        """Noted in the experiment; without one in the trial library alone."""
-        held = fish.params.set(name, value)
-        if self.experiment is not None:
-            note_set(fish, {held.name: held.value}, self.experiment)
-        else:
-            note_board(fish, {held.name: held.value})
-        self._screen.say(f"{name} is {value:g} now")
 
     def note(self, text: str, at: datetime) -> None:
         """One that cannot be written stops nothing else."""

@@ -199,7 +199,7 @@ class Screen:
         if is_new:
             self.say(words)
 
-    def wait(self, until: Callable[[PageState], bool], patience_s: float) -> PageState:
+    def wait(self, until: Callable[[PageState], bool], patience_s: float = 10.0) -> PageState:
         """The first snapshot for which ``until`` holds. Raises TimeoutError."""
         with self._changed:
             if not self._changed.wait_for(lambda: until(self.now), patience_s):

@@ -12,24 +12,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from tailbeat.app.web import view
 from tailbeat.app.web.inbox import Ask, Asks
 from tailbeat.app.web.trials import PageTrials
-from tailbeat.app.web.view import (
-    PageState,
-    Phase,
-    Screen,
-    after,
-    by_beat,
-    by_status,
-    clock,
-    from_the_page,
-    travel_line,
-    unexpected,
-)
+from tailbeat.app.web.view import PageState, Phase, Screen
 from tailbeat.board.fish import Fish
 from tailbeat.board.provision import connect_notice
 from tailbeat.core.errors import ConnectError, LinkLostError, TailbeatError
@@ -69,28 +59,26 @@ def simulated_camera(fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]
 class Worker:
     """``connect`` makes the Fish, in the worker's thread; a lost link is connected again, with
     what was wrong in ``now.problem`` meanwhile. ``root``: of new experiments. ``open_camera`` opens
-    the camera for each series. ``wanted``: of the preflight checks, None = the usual. ``look_s``:
-    how long a wish may lie; ``retry_s``: between two tries to connect."""
+    the camera for each series. ``limits``: of the preflight checks. ``look_s``: how long a
+    request may lie; ``retry_s``: between two tries to connect."""
 
     connect: Callable[[], Fish]
     root: Path
     open_camera: OpenCamera = simulated_camera
-    wanted: PreflightLimits | None = None
+    limits: PreflightLimits = field(default_factory=PreflightLimits)
     wall_s: Callable[[], float] = time.monotonic
     look_s: float = 0.05
     retry_s: float = 1.0
 
     def __post_init__(self) -> None:
         self._asks = Asks()
-        self._screen = Screen()
-        self._trials = PageTrials(self.root, self._screen)
+        self.screen = Screen()
+        self.trials = PageTrials(self.root, self.screen)
         self._requests: dict[str, Callable[..., object]] = {
             "swim": self._swim,
             "upload": self._upload,
-            "set": self._trials.set_param,
             "clear": self._clear,
-            "fresh": self._trials.begin,
-            "note": lambda fish, text, at: self._trials.note(text, at),
+            "note": lambda fish, text, at: self.trials.note(text, at),
         }
         self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
         self._heard_s: float | None = None
@@ -101,7 +89,7 @@ class Worker:
     @property
     def now(self) -> PageState:
         """The latest snapshot."""
-        return self._screen.now
+        return self.screen.now
 
     def start(self) -> None:
         """Begins the thread."""
@@ -109,9 +97,8 @@ class Worker:
 
     def ask(self, what: str, **values: Any) -> None:
         """``swim`` {until, preflight}, ``abort``, ``decide`` {kind, reason}, ``answer`` {yes},
-        ``upload`` {reference}, ``set`` {name, value}, ``note`` {text}, ``clear``, ``fresh`` (a new
-        experiment). Never blocks; what came of it is in ``now``. ``abort`` overtakes everything.
-        Raises InputError for what makes no sense now."""
+        ``upload`` {reference}, ``note`` {text}, ``clear``. Never blocks; what came of it is in
+        ``now``. ``abort`` overtakes everything. Raises InputError for what makes no sense now."""
         if what == "abort":
             self._asks.want_abort()
             return
@@ -120,14 +107,6 @@ class Worker:
     def silent_s(self) -> float | None:
         """Since when the board has said nothing; None = it has not been heard yet."""
         return None if self._heard_s is None else self.wall_s() - self._heard_s
-
-    def raw_file(self, name: str) -> Path | None:
-        """A file of the experiment's raw ones; only those listed in ``now.rows``."""
-        return self._trials.raw_file(name)
-
-    def wait(self, until: Callable[[PageState], bool], patience_s: float = 10.0) -> PageState:
-        """The first snapshot for which ``until`` holds. Raises TimeoutError."""
-        return self._screen.wait(until, patience_s)
 
     def close(self) -> None:
         """Stops the tail if it beats, ends the thread and the connection."""
@@ -138,9 +117,9 @@ class Worker:
     def _phase(self, phase: Phase, *open_: str, **changes: Any) -> None:
         """What is shown first, then what may be asked: nobody is offered what is refused."""
         dropped = self._asks.open(*open_)
-        self._screen.set(phase=phase, **changes)
+        self.screen.set(phase=phase, **changes)
         for ask in dropped:
-            self._screen.say(f"'{ask.kind}' was asked for, but not done: ask again")
+            self.screen.say(f"'{ask.kind}' was asked for, but not done: ask again")
 
     # The thread.
 
@@ -152,10 +131,10 @@ class Worker:
                 break
             except (TailbeatError, OSError) as error:
                 self._phase("connecting", state="", step="", left_s=None)
-                self._screen.trouble(error)
+                self.screen.trouble(error)
             except Exception as error:
                 _log.exception("the page's thread has failed")
-                self._phase("failed", problem=unexpected(error))
+                self._phase("failed", problem=view.unexpected(error))
                 return
             self._asks.wait_closed(self.retry_s)
 
@@ -177,8 +156,8 @@ class Worker:
         info = fish.info()
         self._heard()
         self._restarted = False
-        self._screen.show(
-            by_status(
+        self.screen.show(
+            view.by_status(
                 replace(
                     self.now,
                     connection=info.connection,
@@ -192,22 +171,22 @@ class Worker:
         )
         self._look_at_imu(fish)
         self._look_at_reference(fish)
-        self._trials.find(fish)
+        self.trials.find(fish)
         self._look_ahead(fish)
-        self._screen.say(f"connected to {info.connection}")
+        self.screen.say(f"connected to {info.connection}")
         if line := connect_notice(fish):
-            self._screen.say(line)
+            self.screen.say(line)
         self._phase("idle", *self._requests)
 
     def _idle(self, fish: Fish) -> None:
-        """One look at the link and at what is wanted."""
+        """One look at the link and at what is asked for."""
         if fish.sim is not None:
             self._asks.wait(self.look_s)  # its time passes in no time; a page's must not
         fish.link.run(self.look_s)
         if self._asks.abort:
             self._stop_tail(fish)
         if self._restarted:
-            self._screen.say("the board has restarted")
+            self.screen.say("the board has restarted")
             fish.clock.sync()
             self._greet(fish)
         if self._imu_changed:
@@ -215,21 +194,21 @@ class Worker:
         if (ask := self._asks.take()) is None:
             return
         if ask.kind != "note":
-            self._screen.set(phase="working", problem="")
+            self.screen.set(phase="working", problem="")
         try:
             self._requests[ask.kind](fish, **ask.values)
         except (LinkLostError, ConnectError, Closed):
             raise
         except (TailbeatError, OSError) as error:
-            self._screen.trouble(error)
+            self.screen.trouble(error)
         if ask.kind != "note":
             self._settled(fish)
-        self._screen.set(done=self.now.done + 1)
+        self.screen.set(done=self.now.done + 1)
 
     def _settled(self, fish: Fish) -> None:
         """How things stand after something was done."""
         with contextlib.suppress(LinkLostError):
-            self._screen.show(by_status(self.now, fish.status()))
+            self.screen.show(view.by_status(self.now, fish.status()))
             self._look_ahead(fish)
         self._phase(
             "idle", *self._requests, step="", steps=(), left_s=None, recorded=None, question=""
@@ -237,12 +216,12 @@ class Worker:
 
     def _clear(self, fish: Fish) -> None:
         fish.clear()
-        self._screen.say("cleared")
+        self.screen.say("cleared")
 
     def _upload(self, fish: Fish, reference: Reference) -> None:
-        self._trials.upload(fish, reference)
+        self.trials.upload(fish, reference)
         self._look_at_reference(fish)
-        self._trials.find(fish)
+        self.trials.find(fish)
 
     def _stop_tail(self, fish: Fish) -> None:
         """Whoever made it beat. An armed board is disarmed, one that rests stays as it is."""
@@ -250,7 +229,7 @@ class Worker:
             fish.abort()
             if fish.status().state == "ARMED":
                 fish.disarm()
-            self._screen.say("stopped")
+            self.screen.say("stopped")
         if not self._asks.closed:
             self._asks.abort_done()
 
@@ -266,11 +245,11 @@ class Worker:
             status = BoardStatus.of(message)
             self._restarted |= status.time_s < self._board_s
             self._board_s = status.time_s
-            self._screen.show(by_status(self.now, status))
+            self.screen.show(view.by_status(self.now, status))
         elif kind == "TAILBEAT_HEALTH":
             self._imu_changed |= bool(message.imu_health) == bool(self.now.imu_well)
         elif kind == "TAILBEAT_BEAT" and self.now.phase != "connecting":
-            self._screen.show(by_beat(self.now, BeatEvent.of(message)))
+            self.screen.show(view.by_beat(self.now, BeatEvent.of(message)))
 
     def _look_at_imu(self, fish: Fish) -> None:
         """Its state, and what the board has counted of it."""
@@ -280,7 +259,7 @@ class Worker:
         if info.state != "streaming":
             faults = [f"{info.problem.meaning}. {info.problem.remedy}"]
         words = " ".join(faults) or f"{info.model or 'the IMU'} streams as it should"
-        self._screen.set(imu=words, imu_well=not faults)
+        self.screen.set(imu=words, imu_well=not faults)
 
     def _look_at_reference(self, fish: Fish) -> None:
         record = fish.reference_record()
@@ -288,7 +267,7 @@ class Worker:
         found = decode_reference(record) if record is not None else None
         speeds = tuple(map(float, found.speed_m_s)) if found else ()
         none = (None,) * len(speeds)
-        self._screen.set(
+        self.screen.set(
             reference_m_s=speeds,
             beat_s=found.beat_s if found else 1.0,
             speed_m_s=none,
@@ -303,30 +282,29 @@ class Worker:
         try:
             travel = ""
             if self.now.reference_m_s:
-                travel = travel_line(travel_next(fish, library_of(fish)))
+                travel = view.travel_line(travel_next(fish, library_of(fish)))
         except LinkLostError:
             raise
         except TailbeatError as error:
             travel = str(error)
         limit = fish.params.get("AMP_MAX_RAD").value
-        self._screen.set(travel=travel, amplitude_max_rad=limit)
+        self.screen.set(travel=travel, amplitude_max_rad=limit)
 
     # A series.
 
     def _swim(self, fish: Fish, until: Until, preflight: bool) -> None:
-        wanted = (self.wanted or PreflightLimits()) if preflight else None
-        options = Options(until=until, wanted=wanted, counts=KINDS)
-        experiment = self._trials.for_series(fish)
+        options = Options(until, self.limits if preflight else None, counts=KINDS)
+        experiment = self.trials.for_series(fish)
         self._asks.open("note")
-        self._screen.set(steps=(), phase="preflight" if preflight else "working")
+        self.screen.set(steps=(), phase="preflight" if preflight else "working")
         try:
             with self.open_camera(fish) as (camera, guard):
                 end = run_series(fish, experiment, PageOperator(self, fish), options, camera, guard)
         finally:
-            self._trials.refresh()
-        self._screen.say(end.words)
+            self.trials.refresh()
+        self.screen.say(end.words)
         if end.why == "stopped":
-            self._screen.set(problem=from_the_page(end.words))
+            self.screen.set(problem=view.from_the_page(end.words))
 
     def _answered(self, fish: Fish, kind: str, **shown: Any) -> Ask:
         """Waits for an answer; the link is kept meanwhile, as far as there is one. ABORT says no; a
@@ -340,7 +318,7 @@ class Worker:
                 patience_s = self.look_s
             self._asks.wait(patience_s, kind, "note")
             while (note := self._asks.take("note")) is not None:
-                self._trials.note(**note.values)
+                self.trials.note(**note.values)
             if kind == "answer" and self._asks.abort:
                 return Ask(kind, {"yes": False})
             if (ask := self._asks.take(kind)) is not None:
@@ -358,10 +336,10 @@ class PageOperator:
     def tell(self, event: Event) -> None:
         """Shown at once."""
         worker = self.worker
-        worker._screen.show(after(worker.now, event, clock()))
+        worker.screen.show(view.after(worker.now, event, view.clock()))
         match event:
             case LearnReport() | TrialDecided(_, Decision("repeat" | "discard")):
-                worker._trials.refresh()
+                worker.trials.refresh()
 
     def wants_abort(self) -> bool:
         """The flag itself."""
@@ -369,7 +347,7 @@ class PageOperator:
 
     def decide(self, recorded: RecordedTrial) -> Decision:
         """Whoever decides first decides."""
-        self.worker._trials.refresh()
+        self.worker.trials.refresh()
         ask = self.worker._answered(self.fish, "decide", recorded=recorded, step="", left_s=None)
         self.worker._phase("working", "note", recorded=None, steps=())
         return Decision(ask.values["kind"], ask.values["reason"])

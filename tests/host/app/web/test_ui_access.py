@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterable
 from typing import Any
 
 import pytest
 
-from tailbeat.app.web.access import Access, is_loopback, new_token
+from tailbeat.app.web.access import ABORTED, Guarded, Request, Rules, is_loopback, new_token
 from tailbeat.app.web.page import reference_of_csv, reference_of_text
 from tailbeat.app.web.server import reached_at
 from tailbeat.core.errors import InputError
@@ -27,16 +28,14 @@ async def _inside(scope: Any, receive: Any, send: Any) -> None:
 
 
 class Answer:
-    """What came back. ``status`` of a websocket: 101 when it was let in. ``aborted``: the tail was
-    stopped."""
+    """What came back: of the door, or of the page behind it. ``status`` of a websocket: 101 when it
+    was let in. ``aborted``: the tail was stopped."""
 
-    def __init__(self, sent: list[dict[str, Any]], aborted: bool = False) -> None:
-        self.aborted = aborted
-        first = sent[0]
-        kinds = {"websocket.accept": 101, "websocket.close": 403}
-        self.status = kinds.get(first["type"]) or first["status"]
-        self.headers = {k.decode(): v.decode() for k, v in first.get("headers", [])}
-        self.body = b"".join(message.get("body", b"") for message in sent[1:])
+    def __init__(
+        self, status: int, headers: Iterable[tuple[bytes, bytes]], body: bytes, aborted: bool
+    ) -> None:
+        self.status, self.body, self.aborted = status, body, aborted
+        self.headers = {k.decode(): v.decode() for k, v in headers}
 
 
 def knock(
@@ -66,10 +65,13 @@ def knock(
     async def send(message: Any) -> None:
         sent.append(message)
 
-    aborts: list[bool] = []
-    door = Access(_inside, token, 8080, lambda: aborts.append(True))
-    asyncio.run(door(scope, receive, send))
-    return Answer(sent, bool(aborts))
+    if (reply := Rules(token, 8080).reply(Request.of(scope))) is not None:
+        body = reply.text.encode()
+        return Answer(reply.status, reply.all_headers(), body, reply is ABORTED)
+    asyncio.run(Guarded(_inside)(scope, receive, send))
+    if kind == "websocket":
+        return Answer(101, (), b"", False)
+    return Answer(sent[0]["status"], sent[0]["headers"], sent[1]["body"], False)
 
 
 def abort(token: str | None, headers: Headers) -> Answer:

@@ -1,14 +1,15 @@
-"""ABORT while many ask for the page: told by the order of events, not by a clock."""
+"""Small requests while many ask for the page: by the order of events, not by a clock."""
 
 from __future__ import annotations
 
 import asyncio
 from typing import Any
 
-from tailbeat.app.web.access import Access
+from tailbeat.app.web.access import Guarded
 from tailbeat.app.web.server import WAITING_MAX, Turns
 
 MANY = 150
+FILE = "/raw/0001.ulg"
 OWN = [(b"host", b"127.0.0.1:8080"), (b"origin", b"http://127.0.0.1:8080")]
 
 
@@ -23,7 +24,15 @@ class House:
         self.ready = ready
         self.taken = asyncio.Event()
         self.taken.set()
-        self.door = Access(Turns(self.make), None, 8080, lambda: self.events.append("abort"))
+        self.door = Guarded(Turns(self.serve))
+
+    async def serve(self, scope: Any, receive: Any, send: Any) -> None:
+        if scope["path"] == FILE:
+            self.events.append("file")
+            await send({"type": "http.response.start", "status": 200, "headers": []})
+            await send({"type": "http.response.body", "body": b""})
+        else:
+            await self.make(scope, receive, send)
 
     async def make(self, scope: Any, receive: Any, send: Any) -> None:
         self.at_once += 1
@@ -50,17 +59,17 @@ class House:
         return sent[0]["status"], dict(sent[0]["headers"])
 
 
-def test_abort_overtakes_the_pages_that_wait() -> None:
+def test_a_file_overtakes_the_pages_that_wait() -> None:
     async def day() -> tuple[House, list[int]]:
         house = House()
         pages = [asyncio.create_task(house.ask("/")) for _ in range(MANY)]
-        stop = asyncio.create_task(house.ask("/abort", "POST"))
+        stop = asyncio.create_task(house.ask(FILE))
         status = [(await stop)[0]]
         return house, status + [(await page)[0] for page in pages]
 
     house, (stopped, *pages) = asyncio.run(day())
     assert stopped == 200
-    assert house.events[0] == "abort"  # though it came last
+    assert house.events[0] == "file"  # though it came last
     assert pages.count(200) == house.events.count("page") == WAITING_MAX + 1
     assert pages.count(503) == MANY - WAITING_MAX - 1
 
@@ -76,7 +85,7 @@ def test_a_connection_is_answered_between_two_pages() -> None:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         writer.write(b"stop\n")
         assert await reader.readline() == b"200\n"
-        before = house.events.index("abort")
+        before = house.events.index("file")
         await asyncio.gather(*pages)
         writer.close()
         server.close()
@@ -87,17 +96,17 @@ def test_a_connection_is_answered_between_two_pages() -> None:
 
 async def _serve(house: House, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     await reader.readline()
-    status, _ = await house.ask("/abort", "POST")
+    status, _ = await house.ask(FILE)
     writer.write(f"{status}\n".encode())
     writer.close()
 
 
-def test_abort_is_answered_while_no_page_gets_ready() -> None:
+def test_a_file_is_answered_while_no_page_gets_ready() -> None:
     async def day() -> None:
         house = House(ready=False)
         pages = [asyncio.create_task(house.ask("/")) for _ in range(MANY)]
-        assert (await house.ask("/abort", "POST"))[0] == 200
-        assert house.events == ["abort"]
+        assert (await house.ask(FILE))[0] == 200
+        assert house.events == ["file"]
         house.shut.set()
         await asyncio.gather(*pages)
         assert house.most == 1
@@ -143,7 +152,7 @@ def test_a_page_that_fails_gives_its_turn_on() -> None:
 
     async def day() -> list[Any]:
         house = House()
-        house.door = Access(Turns(fail), None, 8080, lambda: None)
+        house.door = Guarded(Turns(fail))
         asked = [house.ask("/") for _ in range(3)]
         return await asyncio.gather(*asked, return_exceptions=True)
 

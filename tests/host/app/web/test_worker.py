@@ -76,7 +76,7 @@ class Tank:
             self.on_beat(seen.beat)
 
     def wait(self, until: Callable[[PageState], bool]) -> PageState:
-        return self.worker.wait(until, PATIENCE_S)
+        return self.worker.screen.wait(until, PATIENCE_S)
 
     def ask(self, what: str, **values: Any) -> PageState:
         """Until it is done, or something has to be decided first."""
@@ -458,7 +458,7 @@ def test_silence_is_told_by_the_wall_clock(tank: Tank) -> None:
     tank.wait(lambda now: now.phase == "idle")
     tank.board.world.set_radio(False)
     done = tank.worker.now.done
-    tank.worker.ask("set", name="ILC_GAIN", value=3.0)  # a round trip that nothing comes back of
+    tank.worker.ask("clear")  # a round trip that nothing comes back of
     clock[0] = 107.0
     tank.wait(lambda now: now.done > done or now.phase == "connecting")
     assert tank.worker.silent_s() == pytest.approx(7.0)
@@ -467,14 +467,14 @@ def test_silence_is_told_by_the_wall_clock(tank: Tank) -> None:
 
 def test_only_listed_logs_are_given_out(ready: Tank) -> None:
     ready.ask("swim", preflight=False)
-    assert ready.worker.raw_file("0001.ulg") is not None
+    assert ready.worker.trials.raw_file("0001.ulg") is not None
     for name in ("SHA256SUMS", "../settings.json", "reference.bin", "0002.ulg", ""):
-        assert ready.worker.raw_file(name) is None
+        assert ready.worker.trials.raw_file(name) is None
 
 
 def test_the_preflight_may_be_set(tmp_path: Path) -> None:
     tank = Tank(tmp_path / "experiments")
-    tank.worker.wanted = PreflightLimits(rest_s=0.0, still_s=2.0, countdown_s=1.0)
+    tank.worker.limits = PreflightLimits(rest_s=0.0, still_s=2.0, countdown_s=1.0)
     tank.worker.start()
     tank.wait(lambda now: now.phase == "idle")
     tank.ask("upload", reference=from_text(SHORT))
