@@ -125,7 +125,7 @@ def repeat_variance(scores: Sequence[Score]) -> float | None:
     """Variance of a beat's error between repeats, mean over beats, (m/s)**2; None without any."""
     groups: dict[int, list[F64]] = {}
     for score in scores:
-        if score.judged and score.error_m_s is not None:
+        if score.judged:
             groups.setdefault(score.input_crc, []).append(score.error_m_s.astype(np.float64))
     repeats = [np.array(group) for group in groups.values() if len(group) > 1]
     if not repeats:
@@ -380,7 +380,6 @@ def _fade(
     if last.params.get("ILC_DECR_RATE", 0.0) > 0:
         return None
     first = next(score for score in scores if score.judged)
-    assert first.error_m_s is not None
     noise = repeat_variance(scores) or REPEAT_SIGMA_M_S**2
     slope = identified.model.slope_m_s_rad if identified else _SLOPE_M_S_RAD
     step = min(max(last.params.get("ILC_GAIN", 4.0) * slope, _STEP_MIN), 1.0)

@@ -48,15 +48,15 @@ class Score:
     """One trial as the verdict sees it. ``input_crc`` names the amplitudes: equal = a repeat.
     ``max_abs_error_m_s``: over its measured beats. ``judged``: it was executed to its end and
     enough of its beats are measured (firmware/ilc/judge.h). ``error_m_s``: per beat, NaN = not
-    measured; only needed when beats are missing."""
+    measured."""
 
     trial: int
     iteration: int
     input_crc: int
     max_abs_error_m_s: float
     judged: bool
+    error_m_s: F32 = field(compare=False, repr=False)
     rolled_back: bool = False
-    error_m_s: F32 | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -251,9 +251,7 @@ def best_of(scores: Sequence[Score]) -> Score | None:
     """The judged trial that the board would have made its best; None = none is judged. It has the
     smallest max|e|, the first of equals, when no beat is missing; else see firmware/ilc/judge.h."""
     judged = [score for score in scores if score.judged]
-    alone = (np.array([score.max_abs_error_m_s], np.float32) for score in judged)
-    known = (score.error_m_s for score in judged)
-    at = judging.best_at(b if a is None else a for a, b in zip(known, alone, strict=True))
+    at = judging.best_at(score.error_m_s for score in judged)
     return None if at is None else judged[at]
 
 
@@ -267,8 +265,6 @@ def comparable(scores: Sequence[Score]) -> list[Score]:
 
 
 def _against(score: Score, best: Score) -> Score:
-    if score.error_m_s is None or best.error_m_s is None or score is best:
-        return score
     mine, its = judging.on_common_beats(score.error_m_s, best.error_m_s)
     same = (mine, its) == (judging.max_abs(score.error_m_s), judging.max_abs(best.error_m_s))
     if same or not math.isfinite(mine):
@@ -308,7 +304,7 @@ def _kind_and_words(scores: Sequence[Score], band: NoiseBand) -> tuple[str, str]
 def _common_words(scores: Sequence[Score]) -> str:
     """Where the last trial or the best before it has missing beats."""
     last, best = scores[-1], best_of(scores[:-1])
-    if not last.judged or best is None or last.error_m_s is None or best.error_m_s is None:
+    if not last.judged or best is None:
         return ""
     common = int(np.count_nonzero(np.isfinite(last.error_m_s) & np.isfinite(best.error_m_s)))
     beats = len(last.error_m_s)
@@ -316,13 +312,13 @@ def _common_words(scores: Sequence[Score]) -> str:
 
 
 def _incomplete_words(last: Score, best: Score | None) -> str:
-    if last.error_m_s is None or not np.isfinite(last.error_m_s).any():
-        return "incomplete: no beat has a speed"
     known = np.isfinite(last.error_m_s)
+    if not known.any():
+        return "incomplete: no beat has a speed"
     count = int(np.count_nonzero(known))
     which = f"the first {count} beats" if known[:count].all() else f"{count} beats"
     words = f"incomplete: {which} {_mm(last)} mm/s"
-    if best is None or best.error_m_s is None or best.error_m_s.shape != known.shape:
+    if best is None or best.error_m_s.shape != known.shape:
         return words
     there = judging.max_abs(best.error_m_s[known])
     return f"{words}, the best had {there * 1e3:.1f} there"

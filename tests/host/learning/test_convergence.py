@@ -32,7 +32,7 @@ PUBLISHED = {5: (18.3, 20.2), 10: (11.9, 13.9), 20: (7.7, 9.6)}
 def scored(*mm: float, crcs: tuple[int, ...] = ()) -> list[Score]:
     names = crcs or tuple(range(1, len(mm) + 1))
     return [
-        Score(at + 1, at + 1, crc, value / 1e3, True)
+        Score(at + 1, at + 1, crc, value / 1e3, True, np.array([value / 1e3], np.float32))
         for at, (value, crc) in enumerate(zip(mm, names, strict=True))
     ]
 

@@ -62,7 +62,10 @@ def test_variances_that_make_no_sense() -> None:
 
 
 def scored(*mm: float) -> list[Score]:
-    return [Score(at + 1, at + 1, at + 1, value / 1e3, True) for at, value in enumerate(mm)]
+    return [
+        Score(at, at, at, value / 1e3, True, np.array([value / 1e3], np.float32))
+        for at, value in enumerate(mm, 1)
+    ]
 
 
 def test_fluctuation_over_noise() -> None:
