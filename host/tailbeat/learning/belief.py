@@ -24,11 +24,11 @@ from tailbeat.learning.identification import Identified
 # Of the test of one trial, if all noise were normal and the model's form right. As the model's
 # imperfection is counted as noise of each beat, the test seldom gives a false alarm at all.
 FALSE_ALARM = 1e-3
-MEMORY_SWIMS = 12  # older ones no longer count
+MEMORY_TRIALS = 12  # older ones no longer count
 
 # How far a fish may be from the one that was identified, as standard deviations in the order and
 # units of PARAMS, relative for kappa and slope. AGED: the same fish. OTHER: another of its kind;
-# wide enough for one swim to overrule. The fit's prior is the one by which the trials are likelier:
+# wide enough for one trial to overrule. The fit takes the prior that makes the trials likelier:
 # by the narrow one a trial's own gain and flow are not taken for the map.
 AGED = (0.05, 0.02, 0.005, 0.02)
 OTHER = (0.5, 0.2, 0.08, 0.25)
@@ -38,11 +38,11 @@ _MEAN_ABS = 0.7978845608028654  # of |N(0, 1)|: a fish begins forwards or at res
 _STD_ABS = 0.6028102749890869
 _DRAWS = 400
 _NOISE_M_S = 0.0002  # of a beat's speed, that neither model nor measurement tells of
-_FORGET = 0.1  # of the model's imperfection, added to the disturbance's variance from swim to swim
-_WRONG_ABOUT_CHANGES = 0.05  # of the change of steady speed from swim to swim
+_FORGET = 0.1  # of the model's imperfection, added to the disturbance's variance at each trial
+_WRONG_ABOUT_CHANGES = 0.05  # of the change of steady speed from trial to trial
 _WRONG_ABOUT_NEW = 0.015  # of the steady speed, on a reference that was never executed
 # The usual imperfection stands against what residuals tell of it as so many beats do.
-_USUAL_BEATS = 3  # in the identification's swims
+_USUAL_BEATS = 3  # in the identification's trials
 _IDENTIFIED_BEATS = 10  # in later ones, and then as the identification's showed it
 _IMPERFECT_MIN = 0.03
 _USUAL = 1.0
@@ -65,7 +65,7 @@ class Prediction:
         return self.mean_m_s - spread, self.mean_m_s + spread
 
     def chance(self, speed_m_s: F64) -> float:
-        """Probability of a swim at least as odd (chi-square over the measured beats); 1 = none
+        """Probability of a trial at least as odd (chi-square over the measured beats); 1 = none
         was measured."""
         from scipy.special import gammaincc
 
@@ -97,7 +97,7 @@ class Prediction:
 class Belief:
     """``trials``: those the fit rests on. ``refuted``: the last trial was not as predicted, or no
     model explains it. ``chance``: of the last trial, by the prediction that was made for it.
-    ``identified_imperfection``: as ``imperfection``, of the identification's swims."""
+    ``identified_imperfection``: as ``imperfection``, of the identification's trials."""
 
     identified: Identified
     prior: Prior
@@ -168,7 +168,7 @@ class Belief:
         imperfect_min: float = 0.0,
     ) -> tuple[F64, F64]:
         """(mean, variance) per beat of what the model does not explain on this reference: a Kalman
-        filter along its trials. (m/s, m^2/s^2) The variance is that of a swim with
+        filter along its trials. (m/s, m^2/s^2) The variance is that of a trial with
         ``amplitude_rad`` (None = of one like the last): where amplitudes change, the model may be
         wrong anew. The imperfection is taken to be ``imperfect_min`` at least."""
         share = max(self.imperfection, imperfect_min)
@@ -217,9 +217,9 @@ class Belief:
         trial = TrialSpeeds(amplitude_rad, np.full(beats, np.nan), sigma, beat_s)
         scatter = self.identified.scatter
         speed, by = speed_and_slopes(self.model, trial, self.typical)
-        swims_differ = [_STD_ABS * scatter.start_m_s, scatter.flow_m_s, scatter.gain]
+        trials_differ = [_STD_ABS * scatter.start_m_s, scatter.flow_m_s, scatter.gain]
         root = np.linalg.cholesky(self.covariance + _TINY * np.eye(len(PARAMS)))
-        factors = np.hstack([by[:, : len(PARAMS)] @ root, by[:, len(PARAMS) :] * swims_differ])
+        factors = np.hstack([by[:, : len(PARAMS)] @ root, by[:, len(PARAMS) :] * trials_differ])
         mean, variance = self.disturbance(reference_crc, beats, amplitude_rad, imperfect_min)
         return Prediction(speed + mean, factors, np.sqrt(sigma**2 + _NOISE_M_S**2 + variance))
 
@@ -239,7 +239,7 @@ class Belief:
             return self._resting_on((trial,), chance, refuted=False)
         if chance < FALSE_ALARM:
             return self._resting_on((trial,), chance, refuted=True)
-        return self._resting_on((*self.trials, trial)[-MEMORY_SWIMS:], chance, refuted=False)
+        return self._resting_on((*self.trials, trial)[-MEMORY_TRIALS:], chance, refuted=False)
 
     def _resting_on(self, trials: tuple[TrialSpeeds, ...], chance: float, refuted: bool) -> Belief:
         priors = [_prior(self.identified, far) for far in (AGED, OTHER)]
@@ -255,7 +255,7 @@ def believe(identified: Identified, trials: Sequence[TrialSpeeds]) -> Belief:
     """After ``trials``, oldest first, of which the last 24 count; those without a speed tell
     nothing."""
     belief = Belief(identified, _prior(identified, AGED)).begun()
-    for trial in [trial for trial in trials if trial.measured.any()][-2 * MEMORY_SWIMS :]:
+    for trial in [trial for trial in trials if trial.measured.any()][-2 * MEMORY_TRIALS :]:
         belief = belief.after(trial)
     return belief
 

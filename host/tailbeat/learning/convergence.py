@@ -185,8 +185,8 @@ def default_band(max_abs_error_m_s: float) -> NoiseBand:
 def expected_band(
     identified: Identified, reference: Reference, amplitude_rad: ArrayLike
 ) -> NoiseBand:
-    """What is expected of an identified fish: its model swims the input 512 times, with gain, flow,
-    start and measurement scattering as they do. The same numbers every time."""
+    """What is expected of an identified fish: its model executes the input 512 times, with gain,
+    flow, start and measurement scattering as they do. The same numbers every time."""
     from scipy.stats import norm, qmc
 
     random = np.random.default_rng(1)
@@ -208,7 +208,7 @@ def expected_band(
 
 
 def input_crc(amplitude_rad: ArrayLike) -> int:
-    """Names amplitudes: CRC-32 of their float32 bytes, saturated as swum."""
+    """Names amplitudes: CRC-32 of their float32 bytes, saturated as executed."""
     return zlib.crc32(np.asarray(amplitude_rad, dtype="<f4").tobytes())
 
 

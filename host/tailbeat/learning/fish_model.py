@@ -85,8 +85,8 @@ class FishModel:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What differs from swim to swim: the speed over water at its begin (>= 0), the flow along the
-    tank, and a factor on the steady speed (battery, temperature)."""
+    """What differs from trial to trial: the speed over water at its begin (>= 0), the flow along
+    the tank, and a factor on the steady speed (battery, temperature)."""
 
     start_m_s: float = 0.0
     flow_m_s: float = 0.0

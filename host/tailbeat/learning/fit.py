@@ -1,8 +1,8 @@
 """The four numbers of a fish from its trials, with priors and error bars.
 
 Maximum a posteriori over (log kappa, log slope, dead zone, delay), shared by all trials, and for
-each swim its own start speed, flow and gain, which are kept near (0, 0, 1) by what is known of how
-swims differ. Every beat counts by its measurement's sigma and the model's own imperfection. The
+each trial its own start speed, flow and gain, which are kept near (0, 0, 1) by what is known of how
+trials differ. Every beat counts by its measurement's sigma and the model's own imperfection. The
 delay is told best by trials whose amplitude changes gently from beat to beat: in a hard step the
 servo hides it.
 
@@ -47,7 +47,7 @@ class Prior:
 
 @dataclass(frozen=True)
 class Scatter:
-    """How swims of one fish differ, as standard deviations; 0 = never differs. ``model_m_s``: of a
+    """How trials of one fish differ, as standard deviations; 0 = never differs. ``model_m_s``: of a
     beat's speed, for what the model leaves out."""
 
     gain: float = 0.02
@@ -70,7 +70,7 @@ class Fit:
     """``covariance``: 4 x 4, of (log kappa, log slope, dead zone, delay). ``conditions``: one per
     trial. ``residual_m_s``: per trial, measured minus model, NaN where not measured.
     ``rms_m_s``: of all residuals; ``beats``: how many there are. ``log_evidence``: of the prior, by
-    Laplace's approximation; for comparing priors on the same swims and scatter."""
+    Laplace's approximation; for comparing priors on the same trials and scatter."""
 
     model: FishModel
     covariance: F64

@@ -27,7 +27,7 @@ from tailbeat.core.trial_file import read_trial
 from tailbeat.learning.fish_model import FishModel, TrialSpeeds, trial_speeds
 from tailbeat.learning.fit import Prior, fit
 from tailbeat.learning.identification import Identified, ThesisFish
-from tailbeat.learning.identification_runs import STILL_M_S, identify_swims
+from tailbeat.learning.identification_runs import STILL_M_S, identify_trials
 
 _JUMP_M_S = 0.012  # what people do to a fish is more
 _SCATTERS = 5.0  # of the jumps in this trial; 4.9 is the most that chance made of 200
@@ -61,7 +61,7 @@ def disturbance_of(trial: TrialSpeeds) -> Disturbance | None:
     try:
         off = _missed(trial)[known]
     except InputError:
-        return None  # no fish swims like that; what else is wrong with it is said elsewhere
+        return None  # no fish moves like that; what else is wrong with it is said elsewhere
     jumps = np.diff(off)
     scatter = _MAD * float(np.median(np.abs(jumps)))
     sigma = float(np.median(trial.sigma_m_s[known]))
@@ -78,8 +78,8 @@ def _missed(trial: TrialSpeeds) -> F64:
     known, used = trial.measured, trial.measured
     for _ in range(_FITS):
         found = fit([replace(trial, speed_m_s=np.where(used, trial.speed_m_s, np.nan))])
-        told = found.model.beats(trial.amplitude_rad, trial.beat_s, found.conditions[0])
-        off: F64 = trial.speed_m_s - told
+        modelled = found.model.beats(trial.amplitude_rad, trial.beat_s, found.conditions[0])
+        off: F64 = trial.speed_m_s - modelled
         usual = _MAD * float(np.median(np.abs(off[known])))
         fits = known & (np.abs(off) < max(_FITS_M_S, _FITS_MADS * usual))
         if np.array_equal(fits, used) or 2 * fits.sum() < known.sum():
@@ -118,7 +118,7 @@ NAMES = {
 
 
 @dataclass(frozen=True)
-class SwimAccount(TrialSpeeds):
+class TrialAccount(TrialSpeeds):
     """A trial and what the model makes of it, with the trial's own start, flow and gain."""
 
     model_m_s: F64 = field(kw_only=True)
@@ -143,7 +143,7 @@ class Account:
     identified: Identified
     rms_m_s: float
     beats: int
-    trials: list[SwimAccount]
+    trials: list[TrialAccount]
     steady: tuple[F64, F64]
     battery_v: tuple[float, float] | None
     warnings: list[str]
@@ -193,7 +193,7 @@ def account_of(identified: Identified, prior: Prior | None = None) -> Account:
     trials = identified.trials
     found = fit(trials, prior, identified.scatter)
     accounts = [
-        SwimAccount(
+        TrialAccount(
             **vars(trial), model_m_s=found.model.beats(trial.amplitude_rad, trial.beat_s, day)
         )
         for trial, day in zip(trials, found.conditions, strict=True)
@@ -280,7 +280,7 @@ def from_trials(paths: Sequence[Path]) -> tuple[Identified, bool]:
         raise InputError(
             "no trial of these has a speed.", "Upload the speeds first: tailbeat trial speeds"
         )
-    found = identify_swims(used, source="trials", unique_id=fish.pop())
+    found = identify_trials(used, source="trials", unique_id=fish.pop())
     length_m = trials[0].params.get("FISH_LEN_M", ThesisFish.length_m)
     about = ThesisFish(length_m=length_m, beat_s=trials[0].beat_s)
     return with_drag(found, about), trials[0].board != "fish"

@@ -21,8 +21,8 @@ import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.csv import read_rows, value_of
-from tailbeat.core.decode import convert
-from tailbeat.core.errors import InputError, reason
+from tailbeat.core.decode import convert, read
+from tailbeat.core.errors import InputError
 from tailbeat.core.files import plain, replace_file
 from tailbeat.core.reference import THESIS_PLATEAU_M_S
 from tailbeat.learning.fish_model import PARAMS, FishModel, TrialSpeeds
@@ -35,7 +35,7 @@ _REMEDY = "Identify the fish: tailbeat session identify --out FILE"
 @dataclass(frozen=True)
 class Identified:
     """``models``: the bootstrap's, at least one. ``covariance``: 4 x 4 as in Fit. ``scatter``: how
-    swims differ. ``assumed``: names of ``FishModel`` fields that no data spoke of (a table of
+    trials differ. ``assumed``: names of ``FishModel`` fields that no data spoke of (a table of
     steady speeds tells nothing of kappa and delay). ``source``: ``table``, ``runs`` or ``trials``.
     ``alpha_kg_m``: the thesis's drag coefficient by (8.5)-(8.13) where steady speeds are known."""
 
@@ -73,18 +73,14 @@ class Identified:
         replace_file(path, json.dumps(self.as_dict(), indent=1, allow_nan=False) + "\n")
 
     @classmethod
-    def from_dict(cls, raw: dict[str, Any], where: str = "the identified fish") -> Identified:
-        """Of what ``as_dict`` gave. Raises InputError, which begins with ``where``."""
-        return convert(raw, cls, where, _REMEDY, prepare=_checked)
+    def from_dict(cls, raw: dict[str, Any]) -> Identified:
+        """Of what ``as_dict`` gave. Raises InputError."""
+        return convert(raw, cls, "the identified fish", _REMEDY, prepare=_checked)
 
     @classmethod
     def load(cls, path: Path) -> Identified:
         """Raises InputError when it is not there or damaged."""
-        try:
-            raw = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise InputError(f"cannot read {path} ({reason(error)}).", _REMEDY) from error
-        return cls.from_dict(raw, f"{path} does not hold an identified fish")
+        return read(path, cls, _REMEDY, prepare=_checked)
 
 
 def now_text() -> str:
@@ -95,7 +91,7 @@ def now_text() -> str:
 def _checked(raw: dict[str, Any]) -> dict[str, Any]:
     """With models by the names of their numbers. Raises KeyError, TypeError or ValueError."""
     if raw["format"] != _FORMAT:
-        raise ValueError(f"its format is {raw['format']}")
+        raise ValueError(f"this is no identified fish, its format is {raw['format']}")
     models = [dict(zip(PARAMS, row, strict=True)) for row in raw["models"]]
     covariance = np.array(raw["covariance"], dtype=np.float64)
     numbers = [*covariance.ravel(), *(v for m in (raw["model"], *models) for v in m.values())]
@@ -225,8 +221,7 @@ class SpeedTable:
 def from_table(path: Path, fish: ThesisFish | None = None) -> SpeedTable:
     """Reads ``amplitude_rad,speed_m_s`` (steady cruise) and identifies the fish as far as that
     goes. Raises InputError, one line, for a table that cannot be one."""
-    amplitude, speed = read_steady_speeds(path)
-    return identify_table(amplitude, speed, fish, path.name)
+    return identify_table(*read_steady_speeds(path), fish, path.name)
 
 
 def identify_table(

@@ -231,7 +231,7 @@ def identify_runs(
     quick: bool = False,
     unique_id: str = "",
 ) -> Identified:
-    """Swims the runs by ``swim(amplitude per beat, rad)`` and fits the fish to them.
+    """Executes the runs by ``trial(amplitude per beat, rad)`` and fits the fish to them.
 
     ``on_run`` is told of each run before it is executed. ``quick``: the models as likely are drawn
     from the fit's normal posterior only, not from a bootstrap too (a hundredth of the time).
@@ -243,10 +243,10 @@ def identify_runs(
         if on_run is not None:
             on_run(run)
         course.add(run, trial(run.amplitude_rad))
-    return identify_swims(course.trials, course.prior, course.scatter, "runs", unique_id, quick)
+    return identify_trials(course.trials, course.prior, course.scatter, "runs", unique_id, quick)
 
 
-def identify_swims(
+def identify_trials(
     trials: Sequence[TrialSpeeds],
     prior: Prior | None = None,
     scatter: Scatter | None = None,
@@ -254,7 +254,7 @@ def identify_swims(
     unique_id: str = "",
     quick: bool = False,
 ) -> Identified:
-    """From swims of any kind that exist. Raises InputError when no beat of them has a speed."""
+    """From trials of any kind that exist. Raises InputError when no beat of them has a speed."""
     prior, scatter = prior or Prior(), scatter or Scatter()
     found = fit.fit(trials, prior, scatter)
     models = fit.sample(found, _MODELS)

@@ -31,7 +31,7 @@ from tailbeat.learning.fish_model import SIGMA_M_S, Conditions, FishModel, Trial
 from tailbeat.learning.fit import Scatter, beat_sigma
 from tailbeat.learning.identification import Identified
 
-_SWIMMERS = 40
+_FISH = 40
 _SEED = 1
 _GAIN_STEP = 1e-3  # of the derivative to the gain
 _HALF_NORMAL_MEAN = math.sqrt(2 / math.pi)
@@ -54,15 +54,15 @@ class ExpectedSeries:
 def expected_series(
     identified: Identified, reference: Reference, law: Law, iterations: int
 ) -> ExpectedSeries:
-    """Simulated, not proved: the board's own law on models of the set in turn, every swim with a
+    """Simulated, not proved: the board's own law on models of the set in turn, every trial with a
     gain, flow and start speed of its own and noisy speeds. Without the rollback. Deterministic."""
     rng = np.random.default_rng(_SEED)
     sigma = _camera_sigma(identified)
     wanted = reference.speed_m_s.astype(np.float64)
     limit_rad = np.float32(law.amplitude_max_rad)
-    largest = np.full((_SWIMMERS, iterations + 1), np.abs(wanted).max())
+    largest = np.full((_FISH, iterations + 1), np.abs(wanted).max())
     for i, series in enumerate(largest):
-        model = identified.models[i * len(identified.models) // _SWIMMERS]
+        model = identified.models[i * len(identified.models) // _FISH]
         amplitude = first_amplitudes(law, wanted)
         for trial in range(1, iterations + 1):
             recorded = np.clip(amplitude, 0, limit_rad).astype(np.float64)
@@ -126,7 +126,7 @@ def _with_sigmas(trial: TrialSpeeds) -> TrialSpeeds:
 
 @dataclass(frozen=True)
 class _Guess:
-    """One model and what it makes of the measured swim. Variances per beat, (m/s)**2: ``repeats``
+    """One model and what it makes of the measured trial. Variances per beat, (m/s)**2: ``repeats``
     of what comes again, ``alone`` of what does not beyond the conditions."""
 
     model: FishModel
@@ -165,7 +165,7 @@ class _Guess:
         return following
 
     def _own(self, conditions: F64, count: int, rng: Generator) -> F64:
-        """What ``count`` swims have of their own, (count, beats), m/s."""
+        """What ``count`` trials have of their own, (count, beats), m/s."""
         beats = len(self.alone)
         noise = rng.standard_normal((count, beats)) * np.sqrt(self.alone)
         shared: F64 = rng.standard_normal((count, conditions.shape[1])) @ conditions.T
@@ -187,7 +187,7 @@ def _imperfection(
 def _conditions_part(
     model: FishModel, scatter: Scatter, amplitude_rad: F64, beat_s: float
 ) -> tuple[F64, F64]:
-    """Beat means of a usual swim, and what they owe to a sigma of its gain, start and flow."""
+    """Beat means of a usual trial, and what they owe to a sigma of its gain, start and flow."""
     start = scatter.start_m_s * _HALF_NORMAL_MEAN
     speed = model.beats(amplitude_rad, beat_s, Conditions(start))
     more = model.beats(amplitude_rad, beat_s, Conditions(start, gain=1 + _GAIN_STEP))
@@ -325,7 +325,7 @@ def filter_matrix(beats: int, q_len: int) -> F64:
     return matrix
 
 
-def swim_jacobian(model: FishModel, amplitude_rad: F64, beat_s: float) -> F64:
+def trial_jacobian(model: FishModel, amplitude_rad: F64, beat_s: float) -> F64:
     """d beat means / d amplitudes around a trial from rest, shape (beats, beats), m/s/rad."""
     steady = model.steady_m_s(amplitude_rad)
     _, by_w, _ = model.distance(steady**2, beat_s, slopes=True)
@@ -347,7 +347,7 @@ def input_norm(
     of all beats; G around the trial of ``amplitude_rad``. One step puts errors into other beats,
     too, so it says nothing of the next one."""
     count = len(amplitude_rad)
-    jacobian = swim_jacobian(model, amplitude_rad, beat_s)
+    jacobian = trial_jacobian(model, amplitude_rad, beat_s)
     step = np.eye(count) - gain * lead_matrix(count, lead_beats) @ jacobian
     matrix = filter_matrix(count, q_len) @ step
     return float(np.linalg.norm(matrix[:, beats], 2)) if beats.any() else 1.0

@@ -65,9 +65,9 @@ class ModelStepSetting:
 class Proposal:
     """The next input and why. ``law``: ``model``, or ``p`` when the model was refuted.
     ``low_m_s``/``high_m_s``: 90 % band of the beats' measured speeds. ``trials``: numbers of the
-    trials that the model rests on. ``chance``: of a swim as odd as the last one, by its prediction.
-    ``limited_beats``: where the step limit holds the amplitude back. ``reason``: one line for
-    people."""
+    trials that the model rests on. ``chance``: of a trial as odd as the last one, by its
+    prediction. ``limited_beats``: where the step limit holds the amplitude back. ``reason``: one
+    line for people."""
 
     amplitude_rad: F64
     predicted_m_s: F64
@@ -95,7 +95,7 @@ def propose(
     belief = believe(identified, trials)
     reference, step_max_rad = setting.reference, setting.step_max_rad
     amplitude_max_rad = setting.amplitude_max_rad
-    own = _swims_of(reference, trials)
+    own = _trials_of(reference, trials)
     recorded = last_input(own, reference.beats)
     low, high = _limits(recorded, amplitude_max_rad, step_max_rad)
     law = "p" if belief.refuted and own else "model"
@@ -140,7 +140,7 @@ def predicted_before(
     return found.max_abs_error(reference.speed_m_s.astype(np.float64), last.measured)
 
 
-def _swims_of(reference: Reference, trials: Sequence[TrialSpeeds]) -> list[TrialSpeeds]:
+def _trials_of(reference: Reference, trials: Sequence[TrialSpeeds]) -> list[TrialSpeeds]:
     """Those of this reference."""
     own = [
         trial for trial in trials if trial.reference_crc == reference.crc and trial.measured.any()
@@ -164,7 +164,7 @@ def _limits(recorded: F64, amplitude_max_rad: float, step_max_rad: float) -> tup
 
 def _ready(amplitude_rad: F64, model: FishModel, amplitude_max_rad: float) -> F64:
     """Beats without thrust wag as much as surely pushes nothing: from 0 a limited step could end
-    inside the dead zone, swim after trial, and the beat would never push again."""
+    inside the dead zone, trial after trial, and the beat would never push again."""
     return np.maximum(amplitude_rad, min(_NO_THRUST * model.dead_zone_rad, amplitude_max_rad))
 
 

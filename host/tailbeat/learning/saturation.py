@@ -18,7 +18,7 @@ from tailbeat.core.reference import Reference, thesis
 from tailbeat.core.trial_file import Trial
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.identification_runs import identify_swims
+from tailbeat.learning.identification_runs import identify_trials
 from tailbeat.learning.planner import plan
 
 # What the law adds to the best amplitudes while it learns: in 60 simulated series of ten trials at
@@ -74,7 +74,7 @@ def known_fish(identified: Identified | None, trials: Sequence[TrialSpeeds]) -> 
         return None
     count = f"{len(used)} trial{'' if len(used) == 1 else 's'}"
     basis = f"by a model fitted to {count}, extrapolated beyond the limit"
-    return KnownFish(identify_swims(used, quick=True), basis)
+    return KnownFish(identify_trials(used, quick=True), basis)
 
 
 def saturation_of(

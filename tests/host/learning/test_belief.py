@@ -11,9 +11,8 @@ import pytest
 from tailbeat.core.arrays import F64
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.learning.belief import believe
-from tailbeat.learning.error_bound import error_bound
+from tailbeat.learning.error_bound import error_bound, suggest
 from tailbeat.learning.error_bound_solve import plant_config
-from tailbeat.learning.feasible import suggest
 from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import ModelStepSetting, propose

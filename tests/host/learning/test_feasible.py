@@ -14,9 +14,14 @@ from tailbeat.app.cli import run
 from tailbeat.core import reference
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import ReferenceLimits, from_csv
-from tailbeat.learning.error_bound import error_bound, lsq_max_abs_m_s
+from tailbeat.learning.error_bound import (
+    TARGET_M_S,
+    Suggestion,
+    error_bound,
+    lsq_max_abs_m_s,
+    suggest,
+)
 from tailbeat.learning.error_bound_solve import plant_config
-from tailbeat.learning.feasible import TARGET_M_S, Suggestion, suggest
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
 

@@ -27,8 +27,8 @@ from tailbeat.core.records import decode_reference
 from tailbeat.core.reference import Reference, ReferenceLimits, ReferenceProblem
 from tailbeat.experiment.current import named_reference
 from tailbeat.experiment.library import library_of, name_reference
-from tailbeat.learning import feasible
 from tailbeat.learning.error_bound import ErrorBoundRange, Miss, error_bound_range
+from tailbeat.learning.error_bound import suggest as suggest_feasible
 from tailbeat.learning.fish_model import TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import KnownFish, Saturation, expected_saturation, known_fish
@@ -296,7 +296,7 @@ def _suggested(
             "what this fish can follow is not known: it has not been identified.",
             "Run tailbeat session identify, or name a file with --identified.",
         )
-    found = feasible.suggest(known.identified, reference, known.amplitude_max_rad, known.limits)
+    found = suggest_feasible(known.identified, reference, known.amplitude_max_rad, known.limits)
     path, made = out or Path(f"{reference.name}-feasible.csv"), found.reference
     found.to_csv(path)
     document = pick(made, "beats", "beat_s", "travel_m", "speed_m_s", "crc")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.learning.fit_quality import NAMES, Account, SwimAccount, steady_band
+from tailbeat.learning.fit_quality import NAMES, Account, TrialAccount, steady_band
 from tailbeat.learning.identification import Identified, SpeedTable
 from tailbeat.report.style import ACCENT, BAND, GREY, INK, Axes, Figure, picture
 
@@ -112,7 +112,7 @@ def _runs(part: Figure, account: Account) -> None:
             below.set_xlabel("time, s")
 
 
-def _draw_run(above: Axes, below: Axes, trial: SwimAccount, top: float, miss: float) -> None:
+def _draw_run(above: Axes, below: Axes, trial: TrialAccount, top: float, miss: float) -> None:
     middle = (np.arange(len(trial.speed_m_s)) + 0.5) * trial.beat_s
     above.plot(
         middle, trial.speed_m_s * 1e3, "o", ms=5.5, mfc="white", mec=INK, mew=1.4, zorder=3,
@@ -128,7 +128,7 @@ def _draw_run(above: Axes, below: Axes, trial: SwimAccount, top: float, miss: fl
         axes.grid(axis="y")
 
 
-def _run_title(trial: SwimAccount) -> str:
+def _run_title(trial: TrialAccount) -> str:
     name = f"trial {trial.trial}: " if trial.trial else ""
     volts = f", {trial.battery_v:.1f} V" if trial.battery_v is not None else ""
     return f"{name}up to {np.degrees(trial.top_rad):.0f}°, {trial.way_m:.2f} m{volts}"

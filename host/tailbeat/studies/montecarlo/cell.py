@@ -15,9 +15,8 @@ from tailbeat.core import reference as references
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.reference import Reference
-from tailbeat.learning.error_bound import ErrorBound, error_bound
+from tailbeat.learning.error_bound import ErrorBound, error_bound, suggest
 from tailbeat.learning.error_bound_solve import plant_config
-from tailbeat.learning.feasible import suggest
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
 from tailbeat.studies.montecarlo import learners

@@ -191,6 +191,7 @@ class _IdentifiedFish(BatchLearner):
         self.identified = list(identified)
         self.spec = spec
         self.amplitude_max_rad = amplitude_max_rad
+        self._trials: list[list[TrialSpeeds]] = [[] for _ in identified]
 
     def begin(self, reference: Reference) -> None:
         self._reference = reference
@@ -203,13 +204,14 @@ class _IdentifiedFish(BatchLearner):
         plans = [plan(model, wanted.speed_m_s, wanted.beat_s, most) for model in models]
         return np.array([one.max_abs_error_m_s for one in plans])
 
-    def _assessed(self, trials: BatchTrials) -> tuple[list[TrialSpeeds], list[str]]:
-        """The trials of the last amplitudes, and the kinds of their assessments."""
+    def _assessed(self, trials: BatchTrials) -> list[str]:
+        """Keeps the trials of the last amplitudes; the kinds of their assessments."""
         reference = self._reference
         rows = speeds_of(trials, self._amplitude, reference.beat_s, reference.crc)
-        for scores, row in zip(self._scores, rows, strict=True):
+        for kept, scores, row in zip(self._trials, self._scores, rows, strict=True):
+            kept.append(row)
             scores.append(_score(row, len(scores) + 1, reference))
-        return rows, [assess(scores).kind for scores in self._scores]
+        return [assess(scores).kind for scores in self._scores]
 
     _amplitude: F64
 
@@ -231,33 +233,25 @@ class DesignedLaw(_IdentifiedFish):
         laws = [replace(one.law, **schedule) for one in designs]
         self._board = BoardLaw(laws, spec.rollback_ratio)
         self._board.begin(reference)
-        self._before: list[TrialSpeeds] = []
+        self._trials = [[] for _ in self.identified]
 
     def following(self) -> F64:
         """Predicts what its amplitudes will change."""
         self._amplitude = self._board.following()
         self._ratio = np.full((2, self.fish), np.nan)
-        for i, before in enumerate(self._before):
-            self._ratio[:, i] = next_ratio(
-                self.identified[i], self._reference, before, self._amplitude[i]
-            )
+        for i, (one, kept) in enumerate(zip(self.identified, self._trials, strict=True)):
+            if kept:
+                ratio = next_ratio(one, self._reference, kept[-1], self._amplitude[i])
+                self._ratio[:, i] = ratio
         return self._amplitude
 
     def learn(self, trials: BatchTrials) -> Columns:
-        report = self._board.learn(trials)
-        self._before, kinds = self._assessed(trials)
         ratio = dict(zip(("ratio_low", "ratio_high"), self._ratio, strict=True))
-        return report | ratio | {"verdict": kinds}
+        return self._board.learn(trials) | ratio | {"verdict": self._assessed(trials)}
 
 
 class ModelBasedLaw(_IdentifiedFish):
     """Learning with the model, from the identification and all trials along any reference on."""
-
-    def __init__(
-        self, identified: Sequence[Identified], spec: LawSpec, amplitude_max_rad: float
-    ) -> None:
-        super().__init__(identified, spec, amplitude_max_rad)
-        self._trials: list[list[TrialSpeeds]] = [[] for _ in identified]
 
     def following(self) -> F64:
         """Proposes."""
@@ -272,13 +266,11 @@ class ModelBasedLaw(_IdentifiedFish):
         return self._amplitude
 
     def learn(self, trials: BatchTrials) -> Columns:
-        rows, kinds = self._assessed(trials)
-        for kept, row in zip(self._trials, rows, strict=True):
-            kept.append(row)
         names = ("predicted_low_m_s", "predicted_max_abs_error_m_s", "predicted_high_m_s")
         quantiles = np.array([one.predicted_max_abs_error_m_s for one in self._proposals]).T
+        report: Columns = dict(zip(names, quantiles, strict=True))
         laws = [one.law for one in self._proposals]
-        return {**dict(zip(names, quantiles, strict=True)), "swum_law": laws, "verdict": kinds}
+        return report | {"swum_law": laws, "verdict": self._assessed(trials)}
 
 
 def _score(trial: TrialSpeeds, number: int, reference: Reference) -> Score:
