@@ -126,9 +126,9 @@ def _require_enough(
     more = _SWIMS_MIN - len(values)
     raise InputError(
         f"{analysis.name} has {len(values)} complete trial{'s' * (len(values) != 1)}{of} that "
-        f"count{'s' * (len(values) == 1)}; scatter cannot be told from less than {_SWIMS_MIN}.",
-        f"Swim the same input {more} more time{'s' * (more > 1)} (decide: repeat), or name other "
-        "iterations.",
+        f"count{'s' * (len(values) == 1)}; their scatter needs {_SWIMS_MIN}.",
+        f"Execute the same input {more} more time{'s' * (more > 1)} (decide: repeat), or name "
+        "other iterations.",
     )
 
 
@@ -269,7 +269,7 @@ def _words(
 def _trials(trials: tuple[int, int], worse: tuple[int, int]) -> str:
     """How many, and how many of them stand out."""
     of = f", {worse[1]} and {worse[0]} of them worse than noise explains" if any(worse) else ""
-    return f"{trials[1]} swims against {trials[0]}{of}"
+    return f"{trials[1]} trials against {trials[0]}{of}"
 
 
 def other_differences(a: Experiment, b: Experiment) -> list[str]:

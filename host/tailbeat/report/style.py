@@ -1,6 +1,6 @@
 """How figures look: sizes, lines and colours that also tell each other apart in grey.
 
-How swims are told apart in figures: by what became of them.
+How trials are distinguished in figures: by what became of them.
 """
 
 from __future__ import annotations
@@ -212,7 +212,7 @@ def freedom_words(*freedoms: int) -> str:
 
 
 def earlier_words(analyses: Sequence[Analysis]) -> str:
-    """For captions: which swims a figure does not show because the board began anew after them."""
+    """For captions: which trials a figure does not show because the board began anew after them."""
     parts = [
         f"{len(analysis.rows) - len(analysis.last_rows)}"
         + (f" of {name}" if len(analyses) > 1 else "")

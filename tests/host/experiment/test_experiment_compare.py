@@ -144,16 +144,16 @@ def test_words_claim_no_more_than_the_interval() -> None:
     assert unclear.difference_low_m_s < 0 < unclear.difference_high_m_s
     assert unclear.words.startswith(
         "no difference in max|e| is shown: new is 0.2 mm/s worse than old (95 %: 4.0 better to 4.3"
-        " worse; 3 swims against 3); "
+        " worse; 3 trials against 3); "
     )
     assert "swims on each side to see" in unclear.words
     clear = _compared("rms", [0.020, 0.021, 0.0205], [0.010, 0.011, 0.0105], ("old", "new"))
     assert clear.words == (
-        "new is 10.0 mm/s better than old in RMS (95 %: 8.9 to 11.1 mm/s; 3 swims against 3)"
+        "new is 10.0 mm/s better than old in RMS (95 %: 8.9 to 11.1 mm/s; 3 trials against 3)"
     )
     worse = _compared("max", [0.010, 0.011], [0.020, 0.021, 0.0205], ("old", "new"), (1, 0))
     assert worse.words.startswith("new is 10.0 mm/s worse than old in max|e| (95 %: ")
-    assert worse.words.endswith("3 swims against 2, 0 and 1 of them worse than noise explains)")
+    assert worse.words.endswith("3 trials against 2, 0 and 1 of them worse than noise explains)")
     assert "no difference" not in clear.words
 
 

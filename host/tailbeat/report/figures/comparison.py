@@ -40,7 +40,7 @@ def verdicts(analyses: Sequence[Analysis]) -> list[str]:
             words = compare(other, named[0]).words
         except InputError as error:
             words = f"{named[0].name} against {other.name}: {error}"
-        lines.append(words[:1].upper() + words[1:].rstrip(".") + ".")
+        lines.append(words.rstrip(".") + ".")
     return lines
 
 

@@ -33,7 +33,7 @@ from tailbeat.report.style import (
     places,
 )
 
-_SHOWN = (0.5, 2.0)  # ratios; a band of noise is shown as far as that, swims always
+_SHOWN = (0.5, 2.0)  # ratios; a band of noise is shown as far as that, trials always
 _ROLLED: dict[str, Any] = {
     "marker": "X",
     "ms": 6.5,
@@ -51,7 +51,7 @@ def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
         axes = figure.subplots()
         shown = [1.0]
         for at, analysis in enumerate(analyses):
-            shown += _swims(axes, analysis, at, len(analyses))
+            shown += _points(axes, analysis, at, len(analyses))
         iteration_axis(axes, [row.iteration for analysis in analyses for row in analysis.last_rows])
         axes.set_ylabel("max|e| over that of\nthe iteration before")
         if len(shown) == 1:
@@ -62,7 +62,7 @@ def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
     return figure
 
 
-def _swims(axes: Axes, analysis: Analysis, at: int, of: int) -> list[float]:
+def _points(axes: Axes, analysis: Analysis, at: int, of: int) -> list[float]:
     """The ratios drawn."""
     rows = analysis.last_rows
     where = places(rows, at, of)
@@ -115,7 +115,7 @@ def caption(analyses: Sequence[Analysis]) -> str:
     )
     known = [a for a in analyses if a.noise_freedom]
     if not known:
-        text += "No input was repeated, so it is not known what noise alone does."
+        text += "No input was repeated, so the ratio that noise alone causes is unknown."
         return text + earlier_words(analyses)
     sigma = "; ".join(
         f"σ = {a.noise_m_s * 1e3:.1f} mm/s between repeats, t = {student_t(a.noise_freedom):.3g} "

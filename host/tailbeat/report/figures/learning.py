@@ -66,7 +66,7 @@ def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
 def _panel(axes: Axes, analyses: Sequence[Analysis], what: str, style: Style) -> None:
     shown: list[float] = []
     for at, (analysis, look) in enumerate(zip(analyses, LOOKS, strict=False)):
-        shown += _swims(axes, analysis, look, what, (at, len(analyses)))
+        shown += _points(axes, analysis, look, what, (at, len(analyses)))
     axes.set_ylabel("max|e| (mm/s)" if what == "max" else "RMS error (mm/s)")
     iteration_axis(axes, [row.iteration for analysis in analyses for row in analysis.last_rows])
     if not shown:
@@ -76,7 +76,7 @@ def _panel(axes: Axes, analyses: Sequence[Analysis], what: str, style: Style) ->
     log_axis(axes, shown, (1.22, 1.25))
 
 
-def _swims(
+def _points(
     axes: Axes, analysis: Analysis, look: Look, what: str, side: tuple[int, int]
 ) -> list[float]:
     """The values drawn, mm/s."""
@@ -199,20 +199,18 @@ def caption(analyses: Sequence[Analysis]) -> str:
         "the order they were executed; the line joins their medians"
     )
     if any((analysis.band.swims >= BAND_SWIMS_MIN).any() for analysis in analyses):
-        text += (
-            f"; grey, where an iteration has {BAND_SWIMS_MIN} swims or more: 5th to 95th percentile"
-        )
+        text += f"; grey, for {BAND_SWIMS_MIN} trials per iteration or more: 5th to 95th percentile"
     if any(kind_of(row) == "incomplete" for row in rows):
         text += (
-            ". Bars: swims cut short or with beats that were not measured, by the beats they have, "
-            "in no statistic"
+            ". Bars: trials cut short or with unmeasured beats, by the beats they have, in no "
+            "statistic"
         )
     text += ". Baseline: no input (u = 0)."
     return text + _floor_words(analyses) + earlier_words(analyses)
 
 
 def _left_out(rows: Sequence[TrialRow]) -> str:
-    """Which swims are drawn and no more."""
+    """Which trials are drawn and no more."""
     discarded = sum(not row.counts and not row.undecided for row in rows)
     undecided = sum(row.undecided for row in rows)
     parts = [f"{discarded} discarded"] * bool(discarded)

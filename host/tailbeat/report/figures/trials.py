@@ -109,7 +109,7 @@ def _amplitudes(
     top = 1.0
     any_saturated = False
     for role, _, trial in picked:
-        applied = np.degrees(_swum(trial))
+        applied = np.degrees(_executed_rad(trial))
         _curve(axes, applied, analysis.beat_s, _ROLES[role], "")
         at = np.flatnonzero(saturated(trial))
         axes.plot(
@@ -150,13 +150,13 @@ def _curve(axes: Axes, values: F64, beat_s: float, look: Look, name: str) -> Any
 
 
 def saturated(trial: Trial) -> NDArray[np.bool_]:
-    """Per beat: swum, and its amplitude wanted to be above the limit of that trial."""
+    """Per beat: executed at the limit of that trial, where the law asked for more."""
     limit = trial.params.get("AMP_MAX_RAD", math.inf)
-    return np.isfinite(_swum(trial)) & (trial.beats.amplitude_rad > np.float32(limit))
+    return np.isfinite(_executed_rad(trial)) & (trial.beats.amplitude_rad > np.float32(limit))
 
 
-def _swum(trial: Trial) -> F64:
-    """Amplitudes as swum; NaN from where the trial ended."""
+def _executed_rad(trial: Trial) -> F64:
+    """Amplitudes as executed; NaN from where the trial ended."""
     applied = trial.beats.applied_rad.astype(np.float64)
     return np.where(np.arange(len(applied)) < trial.executed_beats, applied, np.nan)
 
@@ -182,8 +182,8 @@ def caption(analyses: Sequence[Analysis]) -> str:
     text = (
         f"{'Trial' if len(picked) == 1 else 'Trials'} {which or 'none'} of "
         f"{len(analysis.last_rows)}. Top: mean speed of every beat and the "
-        "reference; the numbers are max|e|. Bottom: tail amplitude as swum; circles: beats "
-        f"that wanted more than the limit of {math.degrees(analysis.amplitude_max_rad):.0f}°. "
+        "reference; the numbers are max|e|. Bottom: tail amplitude as executed; circles: "
+        f"saturated beats, at the limit of {math.degrees(analysis.amplitude_max_rad):.0f}°. "
         "Beats without a measured speed are gaps"
     )
     cut = [str(row.trial) for _, row, _ in picked if row.end != "complete"]
