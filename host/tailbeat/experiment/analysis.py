@@ -27,9 +27,8 @@ from tailbeat.core.records import decode_reference
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.folder import JUDGING, Experiment
-from tailbeat.experiment.journal import told_of
 from tailbeat.experiment.store import Kept, read_kept
-from tailbeat.experiment.trial_rows import TrialRow, noise_of, rows_of, with_noise
+from tailbeat.experiment.trial_rows import TrialRow, noise_of, rows_of, told_of, with_noise
 from tailbeat.learning.convergence import Score, best_of, score_of
 from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config

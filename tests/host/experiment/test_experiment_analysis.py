@@ -18,8 +18,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.analysis import Analysis, _band, _remarks, analyse, write_analysis
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.journal import Told
-from tailbeat.experiment.trial_rows import TrialRow, noise_of, rows_of
+from tailbeat.experiment.trial_rows import Told, TrialRow, noise_of, rows_of
 
 from .. import made_analyses as made
 from ..swum_experiment import BEATS, REFERENCE, swim_experiment, writable

@@ -18,9 +18,8 @@ from tailbeat.core.law_memory import LawMemory, Memory
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.analysis import Analysis, _judges_gaps
-from tailbeat.experiment.journal import Told
 from tailbeat.experiment.redo import _Board, relearn
-from tailbeat.experiment.trial_rows import rows_of
+from tailbeat.experiment.trial_rows import Told, rows_of
 from tailbeat.learning.assessment import progress_of, scores_of
 from tailbeat.learning.convergence import (
     SCATTER_M_S,
