@@ -28,7 +28,7 @@ from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.folder import JUDGING, Experiment
 from tailbeat.experiment.store import Kept, read_kept
-from tailbeat.experiment.trial_rows import TrialRow, noise_of, rows_of, told_of, with_noise
+from tailbeat.experiment.trial_rows import TrialRow, histories_of, noise_of, rows_of, with_noise
 from tailbeat.learning.convergence import Score, best_of, score_of
 from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
@@ -141,7 +141,7 @@ def analyse(experiment: Experiment) -> Analysis:
     sound, names = _sound_trials(experiment, problems)
     identified = _identified(experiment, problems)
     held, crc = _reference(experiment, [kept.trial for kept in sound], problems)
-    told = told_of(experiment.journal.entries(), names)
+    histories = histories_of(experiment.journal.entries(), names)
     kept = [
         (one.path, one.trial)
         for one in sound
@@ -150,7 +150,7 @@ def analyse(experiment: Experiment) -> Analysis:
     if not kept:
         raise _no_trials(experiment, problems)
     recorded = [trial for _, trial in kept]
-    rows = rows_of(kept, told, _judges_gaps(settings))
+    rows = rows_of(kept, histories, _judges_gaps(settings))
     noise = noise_of(rows, recorded)
     rows = with_noise(rows, *noise)
     limit = recorded[-1].params.get("AMP_MAX_RAD", math.pi / 4)
@@ -240,8 +240,8 @@ def _sound_trials(experiment: Experiment, problems: list[str]) -> tuple[list[Kep
 def _identified(experiment: Experiment, problems: list[str]) -> Identified | None:
     """The last one: a fish may be identified anew on the way."""
 
-    told = [str(entry.get("file", "")) for entry in experiment.journal.entries("identified")]
-    name = Path(told[-1]).name if told else "identified.json"
+    files = [str(entry.get("file", "")) for entry in experiment.journal.entries("identified")]
+    name = Path(files[-1]).name if files else "identified.json"
     path = experiment.raw / name
     if not path.is_file() or name in experiment.damaged():
         return None

@@ -31,9 +31,9 @@ from tailbeat.core.param_names import with_current_names
 from tailbeat.core.records import record_crc
 from tailbeat.core.reference import Reference, from_text, thesis
 from tailbeat.experiment.folder import Experiment, expected_params, held_state, set_held_params
-from tailbeat.experiment.journal import Journal
 from tailbeat.experiment.library import library_of, preserve_folder
 from tailbeat.experiment.redo import write_redo
+from tailbeat.experiment.store import Journal
 from tailbeat.sim.config import simulator_settings
 
 
@@ -86,7 +86,7 @@ def current(fish: Fish) -> Experiment | None:
     return Experiment(folder) if Experiment.is_at(folder) else None
 
 
-def swims_for(fish: Fish) -> Experiment | None:
+def experiment_for(fish: Fish) -> Experiment | None:
     """The current one, if it is of this board and of the reference the board has now."""
     crc = fish.status().reference_crc
     if crc is None or (experiment := current(fish)) is None:
@@ -277,7 +277,7 @@ def note_set(fish: Fish, params: Mapping[str, float], experiment: Experiment | N
     """What was set on purpose, into the trial library and into ``experiment``, by default the one
     the fish swims for. Raises InputError (disk full); the board then counts as strayed."""
     note_board(fish, params)
-    if (experiment := experiment or swims_for(fish)) is None:
+    if (experiment := experiment or experiment_for(fish)) is None:
         return
     known = expected_params(experiment)
     new = {n: v for n, v in params.items() if n not in known or not same_value(known[n], v)}
@@ -328,7 +328,7 @@ def strayed(fish: Fish, experiment: Experiment | None) -> Differences:
     return differences(fish.params.values(), wanted)
 
 
-def require_meant(fish: Fish, experiment: Experiment) -> None:
+def require_expected(fish: Fish, experiment: Experiment) -> None:
     """Raises InputError when the board's parameters are not as ``experiment`` had them."""
     if not (found := strayed(fish, experiment)):
         return
@@ -351,17 +351,17 @@ def require_as_set(fish: Fish) -> None:
         raise InputError(f"the board is not as it was set last ({_words(found)}): {_OFF}.", _REMEDY)
 
 
-def require_meant_here(fish: Fish) -> None:
+def require_expected_here(fish: Fish) -> None:
     """As ``require_meant``, in the experiment the fish swims for, or ``require_as_set``."""
-    if (experiment := swims_for(fish)) is not None:
-        require_meant(fish, experiment)
+    if (experiment := experiment_for(fish)) is not None:
+        require_expected(fish, experiment)
     else:
         require_as_set(fish)
 
 
 def accept(fish: Fish) -> Differences:
     """Whatever the board has is meant so from now on; what had strayed."""
-    found = strayed(fish, swims_for(fish))
+    found = strayed(fish, experiment_for(fish))
     note_all(fish)
     return found
 

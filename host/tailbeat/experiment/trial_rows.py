@@ -80,19 +80,20 @@ class TrialRow:
 
 
 def rows_of(
-    kept: Sequence[tuple[Path, Trial]], told: Mapping[str, Told], judges_gaps: bool
+    kept: Sequence[tuple[Path, Trial]], histories: Mapping[str, TrialHistory], judges_gaps: bool
 ) -> list[TrialRow]:
     """A row for each trial, in order. ``judges_gaps``: trials with missing beats are judged."""
     rows: list[TrialRow] = []
     scores = [_judged(s, judges_gaps) for s in scores_of([trial for _, trial in kept])]
-    journalled = any(one.recorded for one in told.values())
+    journalled = any(one.recorded for one in histories.values())
     epochs = _epochs([trial for _, trial in kept])
     first: dict[tuple[int, int], TrialRow] = {}
     for at, (path, trial) in enumerate(kept):
-        said = told[path.name]
-        if said.learned is None:
-            said = replace(said, learned=_went_on(kept, at), rolled_back=scores[at].rolled_back)
-        row = replace(_row(path, trial, scores[at], said), epoch=epochs[at])
+        history = histories[path.name]
+        if history.learned is None:
+            rolled_back = scores[at].rolled_back
+            history = replace(history, learned=_went_on(kept, at), rolled_back=rolled_back)
+        row = replace(_row(path, trial, scores[at], history), epoch=epochs[at])
         row = replace(row, undecided=journalled and not (row.decision or row.learned))
         name = (row.epoch, scores[at].input_crc)
         original = first.get(name)
@@ -121,7 +122,7 @@ def _epochs(trials: Sequence[Trial]) -> list[int]:
     return epochs
 
 
-def _row(path: Path, trial: Trial, score: Score, told: Told) -> TrialRow:
+def _row(path: Path, trial: Trial, score: Score, history: TrialHistory) -> TrialRow:
     assert score.error_m_s is not None
     error = score.error_m_s[np.isfinite(score.error_m_s)].astype(np.float64)
     recorded = np.arange(len(trial.beats.samples)) < trial.executed_beats
@@ -132,8 +133,8 @@ def _row(path: Path, trial: Trial, score: Score, told: Told) -> TrialRow:
         trial=trial.number,
         iteration=trial.iteration,
         end=trial.end,
-        decision=told.decision,
-        reason=told.reason,
+        decision=history.decision,
+        reason=history.reason,
         repeat_of=0,
         max_abs_error_m_s=score.max_abs_error_m_s,
         rms_error_m_s=_rms(error.tolist()),
@@ -141,14 +142,14 @@ def _row(path: Path, trial: Trial, score: Score, told: Told) -> TrialRow:
         saturated_beats=at_limit(trial.beats.applied_rad[recorded], float(limit)),
         distance_m=math.fsum(speed.tolist()) * trial.beat_s,
         contraction=math.nan,
-        learned=bool(told.learned),
-        rolled_back=told.rolled_back,
+        learned=bool(history.learned),
+        rolled_back=history.rolled_back,
         straight=heading_drift(trial),
-        battery_start_v=volts[0] if told.battery_start_v is None else told.battery_start_v,
+        battery_start_v=volts[0] if history.battery_start_v is None else history.battery_start_v,
         battery_end_v=volts[-1],
         input=trial.input,
         file=path.name,
-        time=told.time,
+        time=history.time,
         complete=score.judged,
     )
 
@@ -234,7 +235,7 @@ def noise_of(rows: Sequence[TrialRow], trials: Sequence[Trial]) -> tuple[float, 
 
 
 @dataclass(frozen=True)
-class Told:
+class TrialHistory:
     """Of one trial's file. ``decision`` empty: nobody decided. ``learned`` None: the journal does
     not tell (an older tool, or commands without a series). ``recorded``: it tells of the trial.
     ``battery_start_v``: before the tail loaded it; a log begins later."""
@@ -248,11 +249,13 @@ class Told:
     battery_start_v: float | None = None
 
 
-def told_of(entries: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> dict[str, Told]:
+def histories_of(
+    entries: Iterable[Mapping[str, Any]], names: Mapping[str, str]
+) -> dict[str, TrialHistory]:
     """By the file's name. ``names``: of every raw file, that of the file its trial is now (a log
-    that grew was kept again). An entry that names no file is of the last one swum with its number;
+    that grew was kept again). An entry that names no file is of the last one executed with its number;
     a board that was made anew counts from 1 again."""
-    told = {name: Told() for name in names.values()}
+    histories = {name: TrialHistory() for name in names.values()}
     file_of = {Path(name).stem: name for name in names}
     for entry in entries:
         number = entry.get("trial")
@@ -262,20 +265,20 @@ def told_of(entries: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> d
             continue
         if entry["what"] == "swum":
             file_of[stem] = file
-        told[names[file]] = _with(told[names[file]], entry)
-    return told
+        histories[names[file]] = _with(histories[names[file]], entry)
+    return histories
 
 
-def _with(told: Told, entry: Mapping[str, Any]) -> Told:
+def _with(history: TrialHistory, entry: Mapping[str, Any]) -> TrialHistory:
     if entry["what"] == "swum":
         volts = entry.get("battery_start_v")
-        return replace(told, time=str(entry["time"]), recorded=True, battery_start_v=volts)
+        return replace(history, time=str(entry["time"]), recorded=True, battery_start_v=volts)
     if entry["what"] == "decided":
         decision, reason = str(entry.get("decision", "")), str(entry.get("reason") or "")
-        learned = told.learned or False  # a decision alone: it has not happened, or not yet
-        return replace(told, decision=decision, reason=reason, learned=learned, recorded=True)
+        learned = history.learned or False  # a decision alone: it has not happened, or not yet
+        return replace(history, decision=decision, reason=reason, learned=learned, recorded=True)
     if entry["what"] == "withdrawn":
-        return replace(told, decision="", reason="")
+        return replace(history, decision="", reason="")
     if entry["what"] == "learned":
-        return replace(told, learned=True, rolled_back=bool(entry.get("rolled_back")))
-    return told
+        return replace(history, learned=True, rolled_back=bool(entry.get("rolled_back")))
+    return history

@@ -12,7 +12,12 @@ from dataclasses import asdict, dataclass
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, Refused, TailbeatError
 from tailbeat.core.faults import WRONG_STATE, fault_info
-from tailbeat.experiment.current import current, require_meant, require_meant_here, swims_for
+from tailbeat.experiment.current import (
+    current,
+    experiment_for,
+    require_expected,
+    require_expected_here,
+)
 from tailbeat.experiment.folder import copy_state
 from tailbeat.experiment.library import DISCARDED, library_of
 from tailbeat.experiment.redo import write_redo
@@ -90,7 +95,7 @@ def learn_and_log(fish: Fish, number: int | None, command: str) -> LearnReport:
     to be), and Refused, of a stopped board before anything is written."""
     pending = pending_of(fish, number, command)
     if pending is not None:
-        require_meant_here(fish)
+        require_expected_here(fish)
     if pending is None and (owing := _owing(fish)) is not None:
         account, owed = owing
         if number in (None, owed):
@@ -109,7 +114,7 @@ def not_logged_text(fish: Fish) -> str:
     """What an operator should know when the fish is in an experiment that its trials are not of;
     empty otherwise."""
     experiment = current(fish)
-    if experiment is None or swims_for(fish) is not None:
+    if experiment is None or experiment_for(fish) is not None:
         return ""
     return (
         f"not written into {experiment.name}, which is of another reference; a new one begins with"
@@ -136,7 +141,7 @@ def log_state(fish: Fish) -> None:
 
 
 def _account(fish: Fish) -> SessionLog | None:
-    experiment = swims_for(fish)
+    experiment = experiment_for(fish)
     return None if experiment is None else SessionLog(experiment)
 
 
@@ -208,7 +213,7 @@ class Decisions:
             self.fish.clear()
             status = self.fish.status()
         if decision.kind == "keep":  # somebody may have swapped the battery while it was asked
-            require_meant(self.fish, self.account.experiment)
+            require_expected(self.fish, self.account.experiment)
         try:
             learned = self._on_board(recorded, decision, status)
         except Refused as refused:

@@ -20,7 +20,7 @@ from tailbeat.core.files import plain, write_whole
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import reference_crc
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.journal import Journal
+from tailbeat.experiment.store import Journal
 from tailbeat.session.outcome import KINDS, Decision, Ready, RecordedTrial
 
 _LOOK_BACK = 3  # swims the fall is averaged over: one reading scatters by some 20 mV

@@ -10,7 +10,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.faults import ABORT_COMMAND, BATTERY_CRITICAL, BATTERY_LOW, REBOOT, fault_info
 from tailbeat.core.frames import Camera
-from tailbeat.experiment.current import require_meant, require_own, require_same
+from tailbeat.experiment.current import require_expected, require_own, require_same
 from tailbeat.experiment.folder import Experiment, alone, copy_state, require_not_lost
 from tailbeat.experiment.library import library_of
 from tailbeat.experiment.redo import write_redo
@@ -154,7 +154,7 @@ def run_series(
         if not options.of_best:
             _require_no_repeat(experiment)
         require_not_lost(fish, experiment)
-        require_meant(fish, experiment)
+        require_expected(fish, experiment)
         if options.typed:
             experiment.journal.add("typed", command=options.typed)
         around = TrialSetup(fish, operator, camera, guard, options.reconnect_s)
@@ -234,7 +234,7 @@ class _Series:
         """Before each trial: the hull may have been open, and whether the best is repeated first is
         the operator's to say. Before there is a best nothing can tell a shift."""
         fish, journal = self.around.fish, self.log.journal
-        require_meant(fish, self.log.experiment)
+        require_expected(fish, self.log.experiment)
         if self.options.of_best or fish.status().best_iteration is None:
             return None
         if (trial := switched_off_since(fish, journal)) is None:

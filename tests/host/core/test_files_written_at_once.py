@@ -17,8 +17,8 @@ from tailbeat.core.files import replacing, replacing_text, write_whole
 from tailbeat.core.locks import WRITE_LOCK, locked
 from tailbeat.core.records import crc32
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.journal import Journal
 from tailbeat.experiment.library import TrialLibrary
+from tailbeat.experiment.store import Journal
 from tailbeat.link.ftp.download import PartFile
 from tailbeat.link.keystore import KeyStore, new_key
 

@@ -16,7 +16,7 @@ from tailbeat.core.param_names import (
     with_current_names,
 )
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.journal import Journal
+from tailbeat.experiment.store import Journal
 from tailbeat.link.params import known_parameters
 
 

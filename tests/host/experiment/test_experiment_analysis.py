@@ -18,7 +18,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.analysis import Analysis, _band, _remarks, analyse, write_analysis
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.trial_rows import Told, TrialRow, noise_of, rows_of
+from tailbeat.experiment.trial_rows import TrialHistory, TrialRow, noise_of, rows_of
 
 from .. import made_analyses as made
 from ..swum_experiment import BEATS, REFERENCE, swim_experiment, writable
@@ -152,7 +152,7 @@ def made_rows(
 ) -> list[TrialRow]:
     """Made of trials that were never in the water."""
     kept = [(Path(f"{at:04d}.ulg"), trial) for at, trial in enumerate(trials)]
-    said = Told(decision=decision, learned=learned, recorded=True)
+    said = TrialHistory(decision=decision, learned=learned, recorded=True)
     return rows_of(kept, {path.name: said for path, _ in kept}, True)
 
 

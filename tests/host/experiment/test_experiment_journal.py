@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tailbeat.core.errors import InputError
-from tailbeat.experiment.journal import Journal
+from tailbeat.experiment.store import Journal
 
 NOON = datetime(2026, 5, 4, 12, 0, 0)
 # also what no encoding knows (half of a pair) and what looks like a line end to somebody

@@ -19,7 +19,7 @@ from tailbeat.core.native import ffi, lib
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.analysis import Analysis, _judges_gaps
 from tailbeat.experiment.redo import _Board, relearn
-from tailbeat.experiment.trial_rows import Told, rows_of
+from tailbeat.experiment.trial_rows import TrialHistory, rows_of
 from tailbeat.learning.assessment import progress_of, scores_of
 from tailbeat.learning.convergence import (
     SCATTER_M_S,
@@ -376,7 +376,7 @@ def test_a_folder_of_an_older_tool_keeps_its_analysis(tmp_path: Path) -> None:
     hole = trial.beats.speed_m_s.copy()
     hole[4] = MISSING
     gapped = replace(trial, beats=replace(trial.beats, speed_m_s=hole))
-    told = {path.name: Told(decision="keep", learned=True, recorded=True)}
+    told = {path.name: TrialHistory(decision="keep", learned=True, recorded=True)}
     for kept, complete in ((settings, True), ({"made": settings["made"]}, False), ({}, True)):
         (row,) = rows_of([(path, gapped)], told, _judges_gaps(kept))
         assert row.complete == complete

@@ -10,7 +10,7 @@ from typing import Any, cast
 import pytest
 
 from tailbeat.board.fish import Fish
-from tailbeat.experiment.journal import Journal
+from tailbeat.experiment.store import Journal
 from tailbeat.session.log import accepted, switched_off_since
 
 

@@ -161,8 +161,8 @@ class _FullDisk:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, allowed: int) -> None:
         self.allowed = allowed
-        append = "tailbeat.experiment.journal.Journal._append"
-        from tailbeat.experiment.journal import Journal
+        append = "tailbeat.experiment.store.Journal._append"
+        from tailbeat.experiment.store import Journal
 
         real = Journal._append
 

@@ -624,7 +624,7 @@ def test_what_was_learned_but_not_written_down(
     trial: Callable[..., SeriesEnd],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from tailbeat.experiment.journal import Journal
+    from tailbeat.experiment.store import Journal
 
     real = Journal.add
 

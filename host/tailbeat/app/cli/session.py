@@ -21,7 +21,7 @@ from tailbeat.app.cli._terminal import Display, Output, command_typed, json_aske
 from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError
-from tailbeat.experiment.current import current, is_interrupted, named_reference, swims_for
+from tailbeat.experiment.current import current, experiment_for, is_interrupted, named_reference
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import library_of, preserve_folder
 from tailbeat.session.commission import CommissionStep, commission_fish
@@ -134,7 +134,7 @@ def _to_resume(fish: Fish, into: Path | None) -> Experiment | None:
     if into is not None:
         return Experiment.open(into)
     goes_on = is_interrupted(fish) or fish.status().reference_crc is None
-    return current(fish) if goes_on else swims_for(fish)
+    return current(fish) if goes_on else experiment_for(fish)
 
 
 def _restore_without_experiment(fish: Fish) -> Output:

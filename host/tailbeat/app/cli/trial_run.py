@@ -24,7 +24,7 @@ from tailbeat.core.printable import mm
 from tailbeat.experiment.current import (
     begin,
     current,
-    require_meant_here,
+    require_expected_here,
     require_own,
     require_same,
     use,
@@ -164,7 +164,7 @@ def _guarded(fish: Fish, guard: Guard | None) -> Guard:
     """Refuses a trial along what is not the fish's own or with unexpected parameters, and one that
     the tank has no room for; ends one that comes farther."""
     require_own(fish)
-    require_meant_here(fish)
+    require_expected_here(fish)
     book = library_of(fish)
     travel_next(fish, book).require_room()
     return guards_of(guarded_trial(fish, book, guard))

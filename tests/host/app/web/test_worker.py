@@ -18,8 +18,8 @@ from tailbeat.app.web.worker import Worker, simulated_camera
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError
 from tailbeat.core.reference import from_text
-from tailbeat.experiment.journal import Journal
 from tailbeat.experiment.library import FOLDER_VARIABLE
+from tailbeat.experiment.store import Journal
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.preflight_step import PreflightLimits
