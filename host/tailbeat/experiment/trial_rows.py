@@ -21,7 +21,7 @@ from tailbeat.learning.saturation import at_limit
 DISCARD = "discard"
 _CONFIDENCE = 0.95
 _RATIO_MIN = 0.05  # where a band of noise ends below: an error is no less than nothing
-_BY_THE_LAW = ("law", "")  # "" = not told: a log of an older board
+_BY_THE_LAW = ("law", "")  # "" = unknown: a log of an older board
 
 
 @dataclass(frozen=True)
@@ -253,8 +253,8 @@ def histories_of(
     entries: Iterable[Mapping[str, Any]], names: Mapping[str, str]
 ) -> dict[str, TrialHistory]:
     """By the file's name. ``names``: of every raw file, that of the file its trial is now (a log
-    that grew was kept again). An entry that names no file is of the last one executed with its number;
-    a board that was made anew counts from 1 again."""
+    that grew was kept again). An entry that names no file is of the last trial with its number; a
+    board that was made anew counts from 1 again."""
     histories = {name: TrialHistory() for name in names.values()}
     file_of = {Path(name).stem: name for name in names}
     for entry in entries:
