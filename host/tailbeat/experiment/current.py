@@ -352,7 +352,7 @@ def require_as_set(fish: Fish) -> None:
 
 
 def require_expected_here(fish: Fish) -> None:
-    """As ``require_meant``, in the experiment the fish swims for, or ``require_as_set``."""
+    """As ``require_expected``, in the experiment the fish swims for, or ``require_as_set``."""
     if (experiment := experiment_for(fish)) is not None:
         require_expected(fish, experiment)
     else:
