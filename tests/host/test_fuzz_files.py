@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat.board import crash
+from tailbeat.board import memory
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import TailbeatError
@@ -252,7 +252,7 @@ def read_as_each(data: bytes) -> None:
         records.decode_past,
         records.decode_learned,
         records.record_crc,
-        crash.decode_crash,
+        memory.decode_crash,
     ]
     for decoder in decoders:
         try:

@@ -42,7 +42,10 @@ def exported() -> Iterator[tuple[str, Any]]:
             if inspect.isclass(found):
                 for method, function in inspect.getmembers(found, inspect.isroutine):
                     plain = getattr(function, "__func__", function)
-                    if method in vars(found) and not method.startswith("_"):
+                    ours = any(
+                        method in vars(c) for c in found.__mro__ if "tailbeat" in c.__module__
+                    )
+                    if ours and not method.startswith("_"):
                         yield f"{package}.{name}.{method}", plain
 
 

@@ -18,7 +18,7 @@ import pytest
 import tailbeat
 from tailbeat.app import cli
 from tailbeat.app.cli import run
-from tailbeat.board import learned
+from tailbeat.board import memory
 from tailbeat.board.connect import open_transport
 from tailbeat.board.fish import Fish
 from tailbeat.core.csv import read_speeds
@@ -84,12 +84,12 @@ def test_update_counts_that_are_none(
     value: float, fish: Fish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stored = SimpleNamespace(values=np.array([1.0, value], dtype=np.float32))
-    monkeypatch.setattr(fish._memory, "stored", lambda _: stored)
+    monkeypatch.setattr(fish, "_stored", lambda _: stored)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises(TransferError, match="update counts"):
             fish.visits()
-    assert learned._VISITS_MAX == 255
+    assert memory._VISITS_MAX == 255
 
 
 def test_a_parameter_name_gets_a_guess(fish: Fish) -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from tailbeat.app.cli import run
-from tailbeat.board.crash import decode_crash, places
 from tailbeat.board.fish import Fish
+from tailbeat.board.flash.programs import places
+from tailbeat.board.memory import decode_crash
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
 from tailbeat.sim.board import SimTransport

@@ -20,10 +20,10 @@ import pytest
 
 from tailbeat.app.cli import run
 from tailbeat.board import connect
-from tailbeat.board.crash import CrashReport
 from tailbeat.board.diagnostics import examine
 from tailbeat.board.diagnostics.evidence import OK, PROBLEM, WARNING, Finding, gather
 from tailbeat.board.fish import Fish
+from tailbeat.board.memory import CrashReport
 from tailbeat.board.provision import HELD, MISSING, OPEN, KeyStatus, set_key
 from tailbeat.core.errors import InputError
 from tailbeat.link import _dialect as mavlink

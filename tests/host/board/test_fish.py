@@ -381,7 +381,7 @@ def test_a_link_that_breaks_again_while_coming_back_gets_its_time(
 
 
 def test_amplitudes_that_never_hold_still(ready: Fish, monkeypatch: pytest.MonkeyPatch) -> None:
-    piece = ready._memory.piece
+    piece = ready._piece
     iterations = count()
 
     def changing(first: int, best: bool) -> object:
@@ -389,7 +389,7 @@ def test_amplitudes_that_never_hold_still(ready: Fish, monkeypatch: pytest.Monke
         message.count, message.iteration = 1, next(iterations)
         return message
 
-    monkeypatch.setattr(ready._memory, "piece", changing)
+    monkeypatch.setattr(ready, "_piece", changing)
     with pytest.raises(TransferError, match="change while they are read"):
         ready.amplitudes()
 
@@ -434,7 +434,7 @@ def test_what_was_learned_on_a_board_that_counts_no_visits(
     counted = fish.learned_record()
     assert counted is not None and counted[-3:] == b"\1\1\1"
     with monkeypatch.context() as older:
-        older.setattr("tailbeat.board.learned._VISITS", 99)  # a set that this board does not know
+        older.setattr("tailbeat.board.memory._VISITS", 99)  # a set that this board does not know
         assert fish.visits() is None
         record = fish.learned_record()
         assert fish.amplitudes().input is None  # and it does not tell what made its input

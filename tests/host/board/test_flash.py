@@ -375,7 +375,7 @@ class Older:
             upload(fish, record)
 
         self.monkeypatch.setattr(Fish, "upload_learned", upload_learned)
-        self.monkeypatch.setattr("tailbeat.board.learned._VISITS", 99)  # a set that no board knows
+        self.monkeypatch.setattr("tailbeat.board.memory._VISITS", 99)  # a set that no board knows
 
 
 def test_an_older_image_gets_what_was_learned_without_the_counts(

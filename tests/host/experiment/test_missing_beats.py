@@ -310,7 +310,7 @@ def test_firmware_that_keeps_no_peaks_is_foretold_by_its_own_rule(
     monkeypatch.setattr(LawMemory, "learn", noted)
     dry_run(fish)
     monkeypatch.setattr(
-        "tailbeat.board.learned._PEAKS", 99
+        "tailbeat.board.memory._PEAKS", 99
     )  # a set that older firmware does not know
     assert fish.peaks() is None
     dry_run(fish)

@@ -18,12 +18,13 @@ from tailbeat.app.cli._options import Connect, ConnectedFish, connected
 from tailbeat.app.cli._terminal import Output, json_line, progress_bar, warn
 from tailbeat.board import bluetooth
 from tailbeat.board.bluetooth import SetupReport
-from tailbeat.board.crash import CrashReport, places
 from tailbeat.board.diagnostics import examine
 from tailbeat.board.diagnostics.evidence import PROBLEM, Finding, worst
 from tailbeat.board.fish import REST, Fish
 from tailbeat.board.flash.procedure import FlashPlan, FlashReport
 from tailbeat.board.flash.procedure import flash as write_image
+from tailbeat.board.flash.programs import places
+from tailbeat.board.memory import CrashReport
 from tailbeat.board.provision import MISSING, trust_of
 from tailbeat.board.snapshot import Snapshot
 from tailbeat.board.snapshot import restore as restore_snapshot

@@ -15,8 +15,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from tailbeat.board.connect import LISTEN_S, find_board, hear_board, open_transport
-from tailbeat.board.crash import CrashReport
 from tailbeat.board.fish import Fish
+from tailbeat.board.memory import CrashReport
 from tailbeat.board.provision import MISSING, KeyStatus, key_status, trust_of
 from tailbeat.core.errors import ConnectError, LinkLostError, Refused, TailbeatError
 from tailbeat.core.faults import NOT_SIGNED
@@ -348,12 +348,9 @@ def _read(board: BoardEvidence, link: Link) -> None:
         board.version = version
         with contextlib.suppress(TailbeatError):
             board.build_id = results.build_id_of(link, version, _TRIES)
-    if status is not None:
-        board.status = BoardStatus.of(status)
-    if health is not None:
-        board.health = results.health_dict(health)
-    if imu is not None:
-        board.imu = ImuInfo.of(imu)
+    board.status = None if status is None else BoardStatus.of(status)
+    board.health = None if health is None else results.health_dict(health)
+    board.imu = None if imu is None else ImuInfo.of(imu)
 
 
 def _ask(board: BoardEvidence, link: Link, kind: str, tries: int) -> Message | None:

@@ -1,4 +1,5 @@
-"""The flash image, and the programs that write it: bossac over the boot loader, OpenOCD over SWD.
+"""The flash image, the programs that write it (bossac over the boot loader, OpenOCD over SWD), and
+the one that names places in it.
 
 OpenOCD erases only the pages of the image: stored data stays. Of bossac: setting the boot bit and
 resetting in one call is a race that bossac 1.8 and 1.9 lose: the reset comes before the bit is
@@ -16,10 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tailbeat.board.flash.ports import BoardPort
+from tailbeat.board.memory import CrashReport
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.extras import BUILD_IMAGE
 
 BOSSAC, OPENOCD = "bossac", "openocd"
+_ADDR2LINE, _BINUTILS = "arm-none-eabi-addr2line", "binutils-arm-none-eabi"
 PACKAGES = {BOSSAC: "bossa-cli", OPENOCD: "openocd"}
 TOOLS = tuple(PACKAGES)
 
@@ -218,3 +221,24 @@ def _why_openocd(outcome: ProgramResult) -> str:
     """Behind the error OpenOCD prints where it came from, or a list of what there is instead."""
     errors = re.findall(r"Error: (.+)", outcome.output)
     return errors[-1].strip() if errors else outcome.last_words
+
+
+def places(report: CrashReport, elf: Path) -> list[str]:
+    """``pc: function at file:line`` and the same of lr, by the image that crashed.
+
+    Raises InputError when ``elf`` is of another build or the program that looks it up is missing.
+    """
+    build_id = build_id_of(elf)
+    if build_id != report.build_id:
+        raise InputError(
+            f"{elf} is of build {build_id}, but {report.build_id} crashed",
+            "Name the .elf of that build, or leave --elf out.",
+        )
+    require_program(_ADDR2LINE, _BINUTILS)
+    names = "pc", "lr"
+    addresses = [f"0x{report.registers[name] & ~1:x}" for name in names]
+    outcome = run_program([_ADDR2LINE, "-f", "-p", "-e", str(elf), *addresses], _ASK_TIMEOUT_S)
+    if not outcome.ok:
+        raise InputError(f"{elf} tells no places: {outcome.last_words}", "Leave --elf out.")
+    lines = outcome.output.splitlines()
+    return [f"{name}: {line}" for name, line in zip(names, lines, strict=False)]
