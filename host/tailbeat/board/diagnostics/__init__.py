@@ -50,7 +50,7 @@ def examine(url: str | None = None, measure_s: float = MEASURE_S) -> list[Findin
             found = gather(transport, measure_s)
         except TailbeatError as error:
             return [*findings, Finding("link", PROBLEM, error.message, error.remedy)]
-        return findings + [check(found) for check in checks.CHECKS]
+        return findings + checks.assess(found, checks.CHECKS)
 
 
 def look_at(fish: Fish, measure_s: float = 1.0) -> list[Finding]:
@@ -68,6 +68,4 @@ def look_at(fish: Fish, measure_s: float = 1.0) -> list[Finding]:
     list of Finding
         The results.
     """
-
-    found = of_connected(fish, measure_s)
-    return [check(found) for check in checks.BEFORE_A_SWIM]
+    return checks.assess(of_connected(fish, measure_s), checks.BEFORE_A_TRIAL)
