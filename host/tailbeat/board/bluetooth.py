@@ -7,9 +7,9 @@ ERROR:(n). An HC-06 takes a command as ended when nothing follows, and answers w
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 from tailbeat.core.errors import ConnectError, InputError, TailbeatError
 from tailbeat.link import _dialect as mavlink
@@ -41,6 +41,11 @@ _ERRORS = {
     0x12: "it does not have these stop bits",
     0x13: "it does not have this parity",
     0x1D: "the PIN's length is wrong",
+}
+# Settings that an HC-05 keeps: its command, the form of its answer, the word in messages.
+_VALUES = {
+    "name": ("NAME", r"\+?NAME:\s*(.*)", "name"),
+    "pin": ("PSWD", r"\+?(?:PSWD|PIN):\s*(.*)", "PIN"),
 }
 _AT_MODE = (
     "Put it into AT mode: power off, hold its KEY (EN, or the button) high, power on; its LED then"
@@ -103,16 +108,16 @@ def setup(line: ModuleLine, name: str | None = None, pin: str | None = None) -> 
     """Finds the module on ``line`` and brings it to 115200 baud 8N1, and to ``name`` and ``pin``
     when given. What is as wanted already is left alone. Raises ConnectError, InputError,
     TailbeatError."""
-    _check(name, pin)
+    expected = _checked(name, pin)
     asking = _Asking(line)
     for baud in AT_BAUDS:
         line.set_baud(baud)
         if asking.greet():
-            return _Hc05(asking, baud).setup(name, pin)
+            return _Hc05(asking, baud).setup(expected)
     for baud in _HC06_BAUDS:
         line.set_baud(baud)
         if asking.plain("AT").startswith("OK"):
-            return _setup_hc06(asking, baud, name, pin)
+            return _setup_hc06(asking, baud, expected)
     raise _nobody(asking)
 
 
@@ -203,9 +208,9 @@ class _Hc05:
         self._asking = asking
         self._at_baud = at_baud
 
-    def setup(self, name: str | None, pin: str | None) -> SetupReport:
+    def setup(self, expected: Mapping[str, str]) -> SetupReport:
         firmware = self._firmware()
-        found = self._read(name is not None, pin is not None)
+        found = _with(self._uart(), {key: self._value(key) for key in expected})
         if found.baud is None:
             raise TailbeatError(
                 "the module does not tell its speed", "Is it an HC-05? See docs/wiring.md."
@@ -213,12 +218,10 @@ class _Hc05:
         now, changed = found, []
         if not found.fits:
             now, changed = self._set_uart(now), ["baud"]
-        if name is not None and name != found.name:
-            now = replace(now, name=self._set("NAME", name, self._name))
-            changed.append("name")
-        if pin is not None and pin != found.pin:
-            now = replace(now, pin=self._set("PSWD", pin, self._pin))
-            changed.append("pin")
+        for key, value in expected.items():
+            if value != getattr(found, key):
+                now = _with(now, {key: self._set(key, value)})
+                changed.append(key)
         if changed:
             self._asking.ask("AT+RESET")
         return SetupReport("HC-05", firmware, self._at_baud, found, now, changed)
@@ -229,12 +232,6 @@ class _Hc05:
                 return match[1]
         return None
 
-    def _read(self, name: bool, pin: bool) -> ModuleSettings:
-        settings = self._uart()
-        if name:
-            settings = replace(settings, name=self._name())
-        return replace(settings, pin=self._pin()) if pin else settings
-
     def _uart(self) -> ModuleSettings:
         reply = self._asking.ask("AT+UART?")
         if match := reply.value(r"\+?UART:\s*(\d+),\s*(\d),\s*(\d)"):
@@ -242,12 +239,9 @@ class _Hc05:
             return ModuleSettings(baud, stop, parity)
         return ModuleSettings()
 
-    def _name(self) -> str | None:
-        match = self._asking.ask("AT+NAME?").value(r"\+?NAME:\s*(.*)")
-        return match[1].strip('"') if match else None
-
-    def _pin(self) -> str | None:
-        match = self._asking.ask("AT+PSWD?").value(r"\+?(?:PSWD|PIN):\s*(.*)")
+    def _value(self, key: str) -> str | None:
+        command, pattern, _ = _VALUES[key]
+        match = self._asking.ask(f"AT+{command}?").value(pattern)
         return match[1].strip('"') if match else None
 
     def _set_uart(self, before: ModuleSettings) -> ModuleSettings:
@@ -266,27 +260,27 @@ class _Hc05:
             raise _did_not_keep("speed", after.baud)
         return replace(before, baud=after.baud, stop=after.stop, parity=after.parity)
 
-    def _set(self, key: str, value: str, read: Callable[[], str | None]) -> str:
+    def _set(self, key: str, value: str) -> str:
         """Some firmwares want quotes around a value, others take them for a part of it."""
+        command, _, what = _VALUES[key]
         refused: str | None = None
         kept: str | None = None
         for text in (value, f'"{value}"'):
-            reply = self._asking.ask(f"AT+{key}={text}")
+            reply = self._asking.ask(f"AT+{command}={text}")
             refused = reply.error or refused
             if not reply.ok:
                 continue
-            kept = read()
+            kept = self._value(key)
             if kept in (value, None):  # it need not be able to say
                 return value
         if kept is None and refused:
-            what = {"NAME": "name", "PSWD": "PIN"}[key]
             raise TailbeatError(
                 f"the module refuses the {what} {value}: {refused}", "Choose another."
             )
-        raise _did_not_keep(key.lower(), kept)
+        raise _did_not_keep(command.lower(), kept)
 
 
-def _setup_hc06(asking: _Asking, baud: int, name: str | None, pin: str | None) -> SetupReport:
+def _setup_hc06(asking: _Asking, baud: int, expected: Mapping[str, str]) -> SetupReport:
     """It tells neither name nor PIN, so those are written whenever they are given."""
     firmware = asking.plain("AT+VERSION").removeprefix("OK") or None
     found = ModuleSettings(baud, 0, 0)
@@ -297,17 +291,20 @@ def _setup_hc06(asking: _Asking, baud: int, name: str | None, pin: str | None) -
         if not asking.plain("AT").startswith("OK"):
             raise _did_not_keep("speed", reply or None)
         now, changed = replace(now, baud=BAUD), ["baud"]
-    for key, value, command in (("name", name, "NAME"), ("pin", pin, "PIN")):
-        if value is None:
-            continue
-        if not asking.plain(f"AT+{command}{value}").startswith("OK"):
+    for key, value in expected.items():
+        if not asking.plain(f"AT+{key.upper()}{value}").startswith("OK"):
             raise TailbeatError(f"the module refuses the {key} {value}", "Choose another.")
-        now = replace(now, name=value) if key == "name" else replace(now, pin=value)
+        now = _with(now, {key: value})
         changed.append(key)
     return SetupReport("HC-06", firmware, baud, found, now, changed)
 
 
-def _check(name: str | None, pin: str | None) -> None:
+def _with(settings: ModuleSettings, values: Mapping[str, Any]) -> ModuleSettings:
+    return replace(settings, **values)
+
+
+def _checked(name: str | None, pin: str | None) -> dict[str, str]:
+    """The settings that are given, by their names. Raises InputError."""
     if name is not None and not re.fullmatch(r"[A-Za-z0-9 ._-]{1,20}", name):
         raise InputError(
             f"'{name}' is no name for a module",
@@ -315,6 +312,7 @@ def _check(name: str | None, pin: str | None) -> None:
         )
     if pin is not None and not re.fullmatch(r"\d{4}", pin):
         raise InputError(f"'{pin}' is no PIN", "Take four digits.")
+    return {key: value for key, value in (("name", name), ("pin", pin)) if value is not None}
 
 
 def _did_not_keep(what: str, kept: object) -> TailbeatError:

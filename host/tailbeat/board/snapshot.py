@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from tailbeat.board.fish import Fish
 from tailbeat.board.provision import OPEN, give_back, key_for, trust_of
@@ -30,6 +31,8 @@ BOARD_FILE = "board.json"
 _FOLDER_FORMAT = "tailbeat backup 1"
 _FILE_FORMAT = "tailbeat board 1"
 _RECORDS = ("reference", "learned", "crash")
+_FOLDER_FIELDS = ("unique_id", "build_id", "next_trial", "params", "signed")
+_FILE_FIELDS = ("unique_id", "params", "iteration", "reference", "learned", "last_learned_trial")
 _FOLDERS_MAX = 99
 
 Differences = dict[str, tuple[float, float]]
@@ -108,11 +111,7 @@ class Snapshot:
         document = {
             "format": _FOLDER_FORMAT,
             "made": self.made or datetime.now().astimezone().isoformat(timespec="seconds"),
-            "unique_id": self.unique_id,
-            "build_id": self.build_id,
-            "next_trial": self.next_trial,
-            "params": self.params,
-            "signed": self.signed,
+            **{name: getattr(self, name) for name in _FOLDER_FIELDS},
             "records": held,
         }
         replace_file(folder / BOARD_FILE, json.dumps(document, indent=2).encode() + b"\n")
@@ -141,30 +140,14 @@ class Snapshot:
             raise _no_backup(folder, error.message) from error
         if held.format != _FOLDER_FORMAT:
             raise _no_backup(folder, f"{path} is damaged (its format is {held.format!r})")
-        return cls(
-            unique_id=held.unique_id,
-            params=with_current_names(held.params),
-            build_id=held.build_id,
-            next_trial=held.next_trial,
-            signed=held.signed,
-            made=held.made,
-            reference=files.get("reference"),
-            learned=files.get("learned"),
-            crash=files.get("crash"),
-        )
+        fields: dict[str, Any] = {name: getattr(held, name) for name in _FOLDER_FIELDS}
+        fields["params"] = with_current_names(held.params)
+        return cls(**fields | files, made=held.made)
 
     def file_content(self) -> bytes:
         """The snapshot as one file: JSON. ``sha256``: of all the rest, so that a digit changed by
         hand or by a bad disk is found."""
-        held = {
-            "format": _FILE_FORMAT,
-            "unique_id": self.unique_id,
-            "params": self.params,
-            "iteration": self.iteration,
-            "reference": self.reference,
-            "learned": self.learned,
-            "last_learned_trial": self.last_learned_trial,
-        }
+        held = {"format": _FILE_FORMAT, **{name: getattr(self, name) for name in _FILE_FIELDS}}
         return canonical(held | {"sha256": hashlib.sha256(canonical(held)).hexdigest()})
 
     def write_file(self, path: Path) -> None:
@@ -183,14 +166,7 @@ class Snapshot:
             held = decode.read(path, _File, remedy)
         except InputError as error:
             raise InputError(why, remedy) from error
-        found = cls(
-            unique_id=held.unique_id,
-            params=held.params,
-            iteration=held.iteration,
-            last_learned_trial=held.last_learned_trial,
-            reference=held.reference,
-            learned=held.learned,
-        )
+        found = cls(**{name: getattr(held, name) for name in _FILE_FIELDS})
         if held.format != _FILE_FORMAT or json.loads(found.file_content())["sha256"] != held.sha256:
             raise InputError(why, remedy)
         return replace(found, params=with_current_names(found.params))
