@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import secrets
 import socket
 from typing import Any
 
+from msgspec.structs import asdict
+
+from tailbeat.core.decode import StrictTable, decode
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
 from tailbeat.link.sockets import TcpTransport
@@ -65,6 +67,14 @@ def config_field(name: str) -> str:
     return matches[0]
 
 
+class _Settings(StrictTable, forbid_unknown_fields=False):
+    """The answer to ``config``."""
+
+    plant: str
+    seed: int
+    simulator: dict[str, Any]
+
+
 def simulator_settings(transport: Transport) -> dict[str, Any]:
     """``plant``, ``seed`` and ``simulator`` (its values) of the simulator behind ``transport``.
 
@@ -75,35 +85,13 @@ def simulator_settings(transport: Transport) -> dict[str, Any]:
         return {}
     for behind in (_BEHIND_RADIO, _BEHIND_CONSOLE):
         try:
-            with socket.create_connection(
-                (transport.host, transport.port + behind), _TIMEOUT_S
-            ) as s:
-                return _parse(_ask(s))
+            address = transport.host, transport.port + behind
+            with socket.create_connection(address, _TIMEOUT_S) as connection:
+                connection.sendall(b"config\n")
+                line = connection.makefile("rb").readline(_LONGEST_BYTES)
+            return asdict(decode(line, _Settings, "the simulator", ""))
         except ConnectionRefusedError:
             continue
-        except (OSError, OverflowError):
+        except (OSError, OverflowError, InputError):
             break
     return {}
-
-
-def _ask(connection: socket.socket) -> bytes:
-    """The first line that answers ``config``."""
-    connection.sendall(b"config\n")
-    answer = b""
-    while b"\n" not in answer and len(answer) < _LONGEST_BYTES:
-        piece = connection.recv(4096)
-        if not piece:
-            break
-        answer += piece
-    return answer.partition(b"\n")[0]
-
-
-def _parse(line: bytes) -> dict[str, Any]:
-    try:
-        said = json.loads(line)
-    except ValueError:
-        return {}
-    wanted = {"plant": str, "seed": int, "simulator": dict}
-    if not isinstance(said, dict) or not all(isinstance(said.get(k), t) for k, t in wanted.items()):
-        return {}
-    return {name: said[name] for name in wanted}

@@ -33,7 +33,7 @@ _CATCH_UP_MAX_S = 0.25  # wall time a slow machine may owe before the clock is s
 _STEP_MAX_S = 0.05  # wall time spent on the board before the ports are looked at again
 _PIECE_S = 0.02  # simulated time run at once
 _PACE_SPAN_S = 5.0  # wall time over which the pace is judged
-_PACE_MIN = 0.95  # of the wanted one
+_PACE_MIN = 0.95  # of the requested pace
 _PORTS = 4  # in a row
 _PORT_MAX = 65536 - _PORTS
 

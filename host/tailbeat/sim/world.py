@@ -207,6 +207,10 @@ class Verb:
         self.call(world, *values)
 
 
+def _on_off(switch: Callable[[World, bool], None]) -> dict[str, Callable[[World], None]]:
+    return {"on": lambda world: switch(world, True), "off": lambda world: switch(world, False)}
+
+
 VERBS = {
     verb.name: verb
     for verb in (
@@ -222,25 +226,12 @@ VERBS = {
             "another pack; thrust speed times GAIN, the tail's centre off by CENTRE_RAD more",
             World.swap_battery,
         ),
-        Verb(
-            "camera on|off",
-            "the camera",
-            choices={"on": lambda w: w.set_camera(True), "off": lambda w: w.set_camera(False)},
-        ),
-        Verb(
-            "radio on|off",
-            "the radio link",
-            choices={"on": lambda w: w.set_radio(True), "off": lambda w: w.set_radio(False)},
-        ),
+        Verb("camera on|off", "the camera", choices=_on_off(World.set_camera)),
+        Verb("radio on|off", "the radio link", choices=_on_off(World.set_radio)),
         Verb(
             "imu on|off|reboot|wedge",
             "its plug; wedged, it is silent until the next power-on",
-            choices={
-                "on": lambda w: w.set_imu(True),
-                "off": lambda w: w.set_imu(False),
-                "reboot": World.reboot_imu,
-                "wedge": World.wedge_imu,
-            },
+            choices=_on_off(World.set_imu) | {"reboot": World.reboot_imu, "wedge": World.wedge_imu},
         ),
         Verb("power cycle", "power off and on again", choices={"cycle": World.power_cycle}),
         Verb("swim NUMBER", "the next trial's noise is that of trial NUMBER", World.set_swim),
