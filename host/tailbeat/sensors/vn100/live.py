@@ -27,6 +27,7 @@ from tailbeat.core.imu_fields import error_words
 from tailbeat.core.native import ffi, lib
 from tailbeat.link.serial import SerialTransport
 from tailbeat.link.sockets import TcpTransport
+from tailbeat.link.transport import Transport
 from tailbeat.sensors.vn100.decode import Binary, Message, Reader
 
 VERDICT_S = 5.0
@@ -196,30 +197,14 @@ DEFAULT_BAUD = 115200
 BAUDS = (115200, 460800, 230400, 921600, 57600, 38400, 19200, 9600, 128000)
 
 
-class Source(Protocol):
-    """A byte stream and the clock its waits are measured with, like Transport. ``has_baud``: its
-    speed can be set from here."""
+class Source(Transport, Protocol):
+    """A byte stream and the clock its waits are measured with. ``has_baud``: its speed can be set
+    from here."""
 
-    name: str
     has_baud: bool
-
-    def read(self) -> bytes:
-        """What has arrived; never blocks. Raises LinkLostError when the other end is gone."""
-
-    def write(self, data: bytes) -> None:
-        """Queues bytes for sending; never blocks."""
-
-    def wait(self, timeout_s: float) -> None:
-        """Returns after ``timeout_s``, or earlier when there may be bytes to read."""
-
-    def now_s(self) -> float:
-        """The clock. Monotonic, any origin."""
 
     def set_baud(self, baud: int) -> None:
         """The line's speed from now on, where it can be set."""
-
-    def close(self) -> None:
-        """Gives it up; may be called twice."""
 
 
 class SerialSource(SerialTransport):

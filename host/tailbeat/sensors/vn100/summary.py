@@ -9,7 +9,7 @@ import csv
 import math
 import re
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -47,11 +47,11 @@ class StreamReport:
     kind: str
     frames: int
     frame_bytes: int
-    duration_s: float | None
-    rate_hz: float | None
-    lost_frames: int
-    restarts: int
-    dropouts: tuple[DropOut, ...]
+    duration_s: float | None = None
+    rate_hz: float | None = None
+    lost_frames: int = 0
+    restarts: int = 0
+    dropouts: tuple[DropOut, ...] = ()
 
 
 @dataclass
@@ -73,10 +73,10 @@ class _Stream:
         # Half the range of a uint64 is 292 years.
         steps = np.diff(np.array(self.times, dtype=np.uint64).view(np.int64))
         forward = steps[steps > 0]
+        restarts = int(np.count_nonzero(steps <= 0))
+        found = StreamReport(kind, self.frames, self.frame_bytes, restarts=restarts)
         if len(forward) < _STEPS_TO_JUDGE:
-            return StreamReport(
-                kind, self.frames, self.frame_bytes, None, None, 0, _count(steps <= 0), ()
-            )
+            return found
         nominal_ns = float(np.median(forward))
         counts = np.where(steps > 0, np.rint(steps / nominal_ns), 1).astype(np.int64)
         since_s = np.cumsum(np.where(steps > 0, steps, 0)) * 1e-9
@@ -90,20 +90,13 @@ class _Stream:
             )
             for i in np.flatnonzero(counts > 1)
         )
-        return StreamReport(
-            kind,
-            self.frames,
-            self.frame_bytes,
-            float(since_s[-1]),
-            float(counts[steps > 0].sum() / since_s[-1]),
-            sum(gap.frames for gap in gaps),
-            _count(steps <= 0),
-            gaps,
+        return replace(
+            found,
+            duration_s=float(since_s[-1]),
+            rate_hz=float(counts[steps > 0].sum() / since_s[-1]),
+            lost_frames=sum(gap.frames for gap in gaps),
+            dropouts=gaps,
         )
-
-
-def _count(which: Any) -> int:
-    return int(np.count_nonzero(which))
 
 
 class StreamSummary:

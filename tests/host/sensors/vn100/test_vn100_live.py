@@ -79,6 +79,9 @@ class ScriptedSource:
         self.baud = baud
         self.bauds.append(baud)
 
+    def reopen(self) -> None:
+        """There is nothing to open."""
+
     def close(self) -> None:
         self.closed = True
 
@@ -132,6 +135,9 @@ class SimulatedSensor:
 
     def set_baud(self, baud: int) -> None:
         self.baud = baud
+
+    def reopen(self) -> None:
+        """There is nothing to open."""
 
     def close(self) -> None:
         pass
