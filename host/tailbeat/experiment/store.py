@@ -245,24 +245,17 @@ class TrialStore:
             ) from error
 
     def add_file(self, path: Path, content: bytes) -> Path:
-        """Write a file once: lasting and read-only when it returns.
+        """Write a file once: lasting and read-only when it returns. Raises InputError.
 
         Parameters
         ----------
-        path : Path
-            Where it is written; the folder exists.
-        content : bytes
-            All that it holds.
+        path, content : Path, bytes
+            Where it is written, and all that it holds.
 
         Returns
         -------
         Path
             ``path``.
-
-        Raises
-        ------
-        InputError
-            It cannot be written.
         """
         write_whole(path, content, MAKE_ROOM_AGAIN)
         path.chmod(_READ_ONLY)
