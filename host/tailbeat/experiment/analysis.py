@@ -264,8 +264,8 @@ def _reference(
     if not trials:
         raise _no_trials(experiment, problems)
     last = trials[-1]
-    wanted = np.nan_to_num(last.beats.reference_m_s)
-    return Reference(last.beat_s, wanted, name), last.reference_crc
+    speed_m_s = np.nan_to_num(last.beats.reference_m_s)
+    return Reference(last.beat_s, speed_m_s, name), last.reference_crc
 
 
 def _is_of(

@@ -37,7 +37,7 @@ class Comparison:
 
     ``difference``: mean of B minus mean of A with its 95 % interval by Welch; ``g``: the same over
     the pooled standard deviation, Hedges's, with the interval of the true effect by the noncentral
-    t distribution (infinite when nothing scatters). ``repeats``: swims needed on each side to see
+    t distribution (infinite when nothing scatters). ``repeats``: trials needed on each side to see
     an effect of that size (power 80 %, two-sided 5 %); None = the effect is too small for 1000.
     ``worse``: how many of the trials were worse than noise explains, on each side (``count``).
     ``words``: one line for people, which does not claim more than the interval allows."""
@@ -219,7 +219,7 @@ def noncentral_t(limit: float, freedom: int, shift: float) -> float:
 
 
 def repeats_needed(g: float) -> int | None:
-    """Swims on each side that see a true effect ``g`` in 80 of 100 cases at 5 %, two-sided; None =
+    """Trials on each side that see a true effect ``g`` in 80 of 100 cases at 5 %, two-sided; None =
     more than 1000."""
     if math.isinf(g):
         return _SWIMS_MIN
@@ -255,9 +255,9 @@ def _words(
             f" (95 %: {near:.1f} to {far:.1f} mm/s; {trials})"
         )
     need = (
-        f"an effect of that size takes {repeats} swims on each side to see"
+        f"an effect of that size takes {repeats} trials on each side to see"
         if repeats is not None
-        else f"an effect that small takes more than {_REPEATS_MAX} swims on each side to see"
+        else f"an effect that small takes more than {_REPEATS_MAX} trials on each side to see"
     )
     middle = f"{abs(difference):.1f} mm/s {'worse' if difference > 0 else 'better'}"
     return (

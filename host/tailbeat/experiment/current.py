@@ -104,10 +104,10 @@ def use(fish: Fish, experiment: Experiment) -> None:
 
 def require_fish(fish: Fish, experiment: Experiment) -> None:
     """Raises InputError when the board is another fish than the experiment's, by its unique id."""
-    wanted, found = str(experiment.settings().get("unique_id", "")), fish.unique_id()
-    if wanted and wanted != found:
+    expected, found = str(experiment.settings().get("unique_id", "")), fish.unique_id()
+    if expected and expected != found:
         raise InputError(
-            f"this is another fish: {experiment.name} is of {wanted}, the board is {found}.",
+            f"this is another fish: {experiment.name} is of {expected}, the board is {found}.",
             "Connect the right fish, or make an experiment for this one: tailbeat experiment new",
         )
 
@@ -324,8 +324,8 @@ def note_restored(fish: Fish) -> None:
 def strayed(fish: Fish, experiment: Experiment | None) -> Differences:
     """From what ``experiment`` had, or without one from what was set. What only one of the two
     knows is another firmware's."""
-    wanted = _board_params(fish) if experiment is None else expected_params(experiment)
-    return differences(fish.params.values(), wanted)
+    expected = _board_params(fish) if experiment is None else expected_params(experiment)
+    return differences(fish.params.values(), expected)
 
 
 def require_expected(fish: Fish, experiment: Experiment) -> None:
@@ -395,10 +395,10 @@ def untouched(experiment: Experiment) -> bool:
 
 
 def made_before(
-    fish: Fish, root: Path, reference: Reference, wanted: dict[str, Any]
+    fish: Fish, root: Path, reference: Reference, settings: dict[str, Any]
 ) -> Experiment | None:
     """The experiment the fish is in, when it is untouched, in ``root``, of this reference and the
-    board's parameters, and no setting of ``wanted`` differs: there is nothing to make. Raises
+    board's parameters, and none of these ``settings`` differs: there is nothing to make. Raises
     InputError when only those differ: what was mistyped is mended, and no empty folder is left."""
     found = current(fish)
     if found is None or found.folder.resolve().parent != root.resolve():
@@ -408,7 +408,7 @@ def made_before(
     held = found.settings()
     if held.get("params") != fish.params.values():
         return None
-    if all(held.get(key) == value for key, value in wanted.items()):
+    if all(held.get(key) == value for key, value in settings.items()):
         return found
     raise InputError(
         f"nothing was executed yet in {found.folder}, with other settings.",

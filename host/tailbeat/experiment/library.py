@@ -4,8 +4,8 @@ A folder per fish, named by its unique id, in ``$TAILBEAT_LOGBOOK``, else in ``t
 the user's data: ``trials/`` (copies of trial files, never changed, in the order they came),
 ``marks/`` (what is to be known of some of them, named like them), ``proposals/`` (inputs this
 computer made, and why), ``references.json`` (their names by CRC, which a board does not keep) and
-``identified.json``. The model law, the verdict and a second reference
-draw on it. Several processes may write at once.
+``identified.json``. The model law, the assessment and a second
+reference draw on it. Several processes may write at once.
 """
 
 from __future__ import annotations

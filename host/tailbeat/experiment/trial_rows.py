@@ -34,7 +34,7 @@ class TrialRow:
     on the beats that both measured.
     ``noise_low``, ``noise_high``: ratios between which 95 % lie when nothing but noise differs, NaN
     = there is no contraction or there are no repeats. ``complete``: it is judged
-    (``verdict.Score.judged``); in a folder of a tool from before that rule every beat is measured.
+    (``Score.judged``); in a folder of a tool from before that rule every beat is measured.
     ``learned``, ``rolled_back``: what the board did with it; where the journal does not tell, by
     what swam next. Voltages: before the tail loaded the battery, as the journal has it, else the
     first in the log; and the last in the log; NaN = none. ``file``: its name in ``raw/``.

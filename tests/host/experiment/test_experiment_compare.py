@@ -146,7 +146,7 @@ def test_words_claim_no_more_than_the_interval() -> None:
         "no difference in max|e| is shown: new is 0.2 mm/s worse than old (95 %: 4.0 better to 4.3"
         " worse; 3 trials against 3); "
     )
-    assert "swims on each side to see" in unclear.words
+    assert "trials on each side to see" in unclear.words
     clear = _compared("rms", [0.020, 0.021, 0.0205], [0.010, 0.011, 0.0105], ("old", "new"))
     assert clear.words == (
         "new is 10.0 mm/s better than old in RMS (95 %: 8.9 to 11.1 mm/s; 3 trials against 3)"
