@@ -25,8 +25,8 @@ from tailbeat.board.snapshot import Differences, differences, same_value
 from tailbeat.core import decode
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_REFERENCE, refusal
+from tailbeat.core.files import locked
 from tailbeat.core.law import Averaging, Law
-from tailbeat.core.locks import locked
 from tailbeat.core.param_names import with_current_names
 from tailbeat.core.records import record_crc
 from tailbeat.core.reference import Reference, from_text, thesis

@@ -34,8 +34,15 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from tailbeat.core.errors import InputError, reason
-from tailbeat.core.files import MAKE_ROOM, TEMPORARY, plain, sync_folder, write_whole
-from tailbeat.core.locks import locked, wait_lock
+from tailbeat.core.files import (
+    MAKE_ROOM,
+    TEMPORARY,
+    locked,
+    plain,
+    sync_folder,
+    wait_lock,
+    write_whole,
+)
 from tailbeat.core.param_names import of_document
 from tailbeat.core.trial_file import Trial, parse_trial, read_trial
 

@@ -25,8 +25,7 @@ from platformdirs.unix import Unix
 from tailbeat.core import decode
 from tailbeat.core.decode import Hex
 from tailbeat.core.errors import InputError, reason
-from tailbeat.core.files import plain, replace_file
-from tailbeat.core.locks import locked
+from tailbeat.core.files import locked, plain, replace_file
 
 KEY_BYTES = 32
 _FORMAT = "tailbeat key 1"

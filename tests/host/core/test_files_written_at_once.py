@@ -11,10 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat.core import locks
+from tailbeat.core import files
 from tailbeat.core.errors import InputError
-from tailbeat.core.files import replacing, replacing_text, write_whole
-from tailbeat.core.locks import WRITE_LOCK, locked
+from tailbeat.core.files import WRITE_LOCK, locked, replacing, replacing_text, write_whole
 from tailbeat.core.records import crc32
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import TrialLibrary
@@ -160,7 +159,7 @@ def test_a_folder_without_locks_is_used_without(
     def no_locks(descriptor: int, how: int) -> None:
         raise OSError(95, "not supported")
 
-    monkeypatch.setattr(locks.fcntl, "flock", no_locks)
+    monkeypatch.setattr(files.fcntl, "flock", no_locks)
     with locked(tmp_path, wait_s=0.0):
         pass
 

@@ -14,7 +14,7 @@ from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
 from tailbeat.board.provision import connect_notice, key_status, set_key
 from tailbeat.core.errors import InputError
-from tailbeat.core.locks import WRITE_LOCK
+from tailbeat.core.files import WRITE_LOCK
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.keystore import (
     KeyStore,

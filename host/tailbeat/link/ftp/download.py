@@ -24,8 +24,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 from tailbeat.core.errors import TailbeatError, TransferError
-from tailbeat.core.files import replace_file, sync_folder, temporary_beside
-from tailbeat.core.locks import try_lock
+from tailbeat.core.files import replace_file, sync_folder, temporary_beside, try_lock
 from tailbeat.core.records import crc32
 from tailbeat.link.ftp.wire import (
     BURST,
