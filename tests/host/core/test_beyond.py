@@ -49,7 +49,7 @@ class School:
             assert lib.memory_first(memory, self.law, wanted, self.scratch) == 0
 
     def _each(self) -> list[Any]:
-        return [self.memories + i for i in range(len(self.batch))]
+        return [self.memories + i for i in range(len(self.memories))]
 
     def visits(self) -> Counts:
         return np.array([list(memory.visits[0:BEATS]) for memory in self._each()])
