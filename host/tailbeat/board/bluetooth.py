@@ -106,7 +106,7 @@ class ModuleReply:
 
 def setup(line: ModuleLine, name: str | None = None, pin: str | None = None) -> SetupReport:
     """Finds the module on ``line`` and brings it to 115200 baud 8N1, and to ``name`` and ``pin``
-    when given. What is as wanted already is left alone. Raises ConnectError, InputError,
+    when given. What is set so already is left alone. Raises ConnectError, InputError,
     TailbeatError."""
     expected = _checked(name, pin)
     asking = _Asking(line)

@@ -33,7 +33,7 @@ from tailbeat.link.transport import Transport
 from tailbeat.sim.board import SimulatedBoard, in_process
 
 # A board cannot lose its reference again. After an identification on one that had none a beat at
-# rest stands for none: no run's amplitudes may swim again.
+# rest stands for none: no run's input may be executed again.
 REST = Reference(1.0, np.zeros(1, np.float32), "rest")
 
 
@@ -301,7 +301,7 @@ class Fish(BoardMemory):
         self.link.command(mavlink.TAILBEAT_CMD_RESTORE_BEST)
 
     def watch(self) -> Iterator[Event]:
-        """Everything the board tells, as it comes, for ever."""
+        """Everything the board reports, as it comes, for ever."""
         kinds = tuple(WATCHED)
         while True:
             message = self.link.recv(kinds, 1.0)

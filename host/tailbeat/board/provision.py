@@ -134,7 +134,7 @@ def _lost_key(fish: Fish, board: str | None = None) -> StoredKey | None:
     if trust_of(fish) != OPEN:
         return None
     board = fish.unique_id() if board is None else board
-    return None if board.startswith(_SHORT_LIVED) else key_for(fish.link.signing.store, board)
+    return None if board.startswith(_SHORT_LIVED) else fish.link.signing.store.newest_of(board)
 
 
 def set_key(fish: Fish, name: str = "", now_s: Callable[[], float] = time.time) -> StoredKey:
@@ -148,13 +148,8 @@ def set_key(fish: Fish, name: str = "", now_s: Callable[[], float] = time.time) 
 def give_back(fish: Fish, board: str, now_s: Callable[[], float] = time.time) -> StoredKey | None:
     """Gives a board that lost its key the newest one this computer has for ``board``; None when it
     has none. Raises as set_key does."""
-    key = key_for(fish.link.signing.store, board)
+    key = fish.link.signing.store.newest_of(board)
     return None if key is None else _give(fish, key, now_s, anew=False)
-
-
-def key_for(store: KeyStore, board: str) -> StoredKey | None:
-    """The key of this computer that a board was last heard to sign with."""
-    return store.newest_of(board)
 
 
 def _give(fish: Fish, key: StoredKey, now_s: Callable[[], float], anew: bool = True) -> StoredKey:

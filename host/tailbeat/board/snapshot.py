@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from tailbeat.board.fish import Fish
-from tailbeat.board.provision import OPEN, give_back, key_for, trust_of
+from tailbeat.board.provision import OPEN, give_back, trust_of
 from tailbeat.core import decode, records
 from tailbeat.core.decode import Hex
 from tailbeat.core.errors import InputError, LinkLostError, Refused, TailbeatError, reason
@@ -354,7 +354,7 @@ def _offer(fish: Fish, forms: list[bytes]) -> None:
 
 def _restore_key(fish: Fish, board: str, report: RestoreReport) -> None:
     """The one that this computer has for the board the snapshot is of."""
-    if fish.unique_id() != board or key_for(fish.link.signing.store, board) is None:
+    if fish.unique_id() != board or fish.link.signing.store.newest_of(board) is None:
         report.missing.append("the key (not on this computer); set one: tailbeat board key set")
     elif report.attempt("the key", partial(give_back, fish, board)):
         report.back.append("its key")

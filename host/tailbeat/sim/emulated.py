@@ -3,8 +3,8 @@
 The board is tools/vboard: its processor executes the very image that is flashed. Its wires end in
 the simulator's world: servo pulses move the fish, the camera sees the LED, the battery is on its
 divider, and board and IMU understand each other when both ends of their line run at the same speed.
-Camera, noise and swims are those of the simulated board: the same pulses give the same true speeds,
-bit for bit.
+Camera, noise and trials are those of the simulated board: the same pulses give the same true
+speeds, bit for bit.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class EmulatedBoard(SimulatedBoard):
 
     Keyword overrides are the fields of sim_config_t; the links run at 115200 baud, whatever it
     says. ``seed``: None = disturbances as with 1, but a unique id of its own. ``imu_frames_sent``:
-    binary frames that the IMU has put on its line so far.
+    binary frames that the IMU has put on its line so far. ``board``: the emulated board itself.
     """
 
     def __init__(
@@ -92,12 +92,12 @@ class EmulatedBoard(SimulatedBoard):
         self._imu_talk_end = 0
         self._led_on = False
         self.imu_frames_sent = 0
-        self._board = self._new_board()
-        self._clock = self._board.clock
+        self.board = self._new_board()
+        self._clock = self.board.clock
         self._lines = {port: self._new_line(name, BAUD) for name, port in _LINES.items()}
         self._imu = self._new_line(_IMU_PORT, self._wires.imu_baud())
         self._received = {port: bytearray() for port in self._lines}
-        self._board.wire(self._connect)
+        self.board.wire(self._connect)
         self._plan_idle_frame()
         self._power_imu()
 
@@ -152,7 +152,7 @@ class EmulatedBoard(SimulatedBoard):
 
         try:
             with _interrupt_afterwards():
-                self._board.run_until(tick)
+                self.board.run_until(tick)
         except (BusViolation, Lockup) as error:
             raise EmulationError(
                 f"the image failed on the emulated board: {error}",
@@ -162,7 +162,7 @@ class EmulatedBoard(SimulatedBoard):
 
     def _follow_time_base(self) -> None:
         """Learns from the counter when the firmware's time began; again after every reset."""
-        board = self._board
+        board = self.board
         count = board.periph[_TIME_BASE].read_cv() if board.powered else 0
         if count == 0:
             self._time_base_start = None
@@ -200,9 +200,9 @@ class EmulatedBoard(SimulatedBoard):
         return bool(taken)
 
     def _power_cycle(self) -> None:
-        self._board.power_cut()
+        self.board.power_cut()
         self._wires.imu_power(on=False, now_us=self._now_us())
-        self._board.power_on()
+        self.board.power_on()
         self._power_imu()
 
     def _set_radio(self, connected: bool) -> None:
@@ -210,15 +210,10 @@ class EmulatedBoard(SimulatedBoard):
         (line.plug if connected else line.cut)()
 
     def _storage(self) -> bytes:
-        return self._board.bank1
+        return self.board.bank1
 
     def _set_storage(self, image: bytes) -> None:
-        self._board.bank1 = image
-
-    @property
-    def board(self) -> Board:
-        """The emulated board itself."""
-        return self._board
+        self.board.bank1 = image
 
     # Wires.
 
@@ -243,8 +238,8 @@ class EmulatedBoard(SimulatedBoard):
 
     def _connect(self) -> None:
         """Solders the wires to the chip; it is new after each power-on."""
-        periph = self._board.periph
-        self._board.chip.divide_traps = False  # each division would cost 20 us
+        periph = self.board.periph
+        self.board.chip.divide_traps = False  # each division would cost 20 us
         for name, port in _LINES.items():
             periph[name].connect(self._lines[port])
         periph[_IMU_PORT].connect(self._imu)
@@ -258,7 +253,7 @@ class EmulatedBoard(SimulatedBoard):
     def _show_led(self) -> None:
         """It lights at a driven pin only: a pull-up is too weak for it."""
         name, bit = _LED_PIN
-        on = self._board.periph[name].drives_high(bit)
+        on = self.board.periph[name].drives_high(bit)
         if on != self._led_on:
             self._led_on = on
             self._wires.led(self._now_us(), on)
@@ -269,7 +264,7 @@ class EmulatedBoard(SimulatedBoard):
         if channel != _SERVO_CHANNEL:
             return
         name, bit, owner = _SERVO_PIN
-        wired = self._board.periph[name].owner(bit) == owner
+        wired = self.board.periph[name].owner(bit) == owner
         self._wires.frame(self._us(start), high if wired else 0)
         self._plan_idle_frame()
         self._look_at_imu()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tailbeat.board.fish import Fish
@@ -19,10 +19,6 @@ _QUIET_STATES = ("IDLE", "ABORTED", "FAULT")
 _NO_BATTERY_V = 1.0  # a board on USB power alone measures next to nothing
 
 
-def _stays(path: Path) -> Path:
-    return path
-
-
 @dataclass(frozen=True)
 class BackupPlaces:
     """Where backups go. ``root``: each gets a folder of its own below it. ``known``: folders whose
@@ -30,7 +26,7 @@ class BackupPlaces:
 
     root: Path = Path("backups")
     known: Sequence[Path] = ()
-    add: Callable[[Path], Path] = field(default=_stays)
+    add: Callable[[Path], Path] = lambda path: path
 
 
 @dataclass(frozen=True)

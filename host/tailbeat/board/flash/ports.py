@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -28,7 +28,7 @@ _RESTART_BYTES = 4096
 
 
 class ListedPort(Protocol):
-    """What pyserial's list_ports tells of a port, as far as it matters here."""
+    """What pyserial's list_ports reports of a port, as far as it matters here."""
 
     device: str
     vid: int | None
@@ -78,11 +78,11 @@ def board_ports(enumerate_ports: Enumerate) -> list[BoardPort]:
     )
 
 
-def find_port(wanted: str | None, enumerate_ports: Enumerate) -> BoardPort:
-    """The port called ``wanted``, of whatever make, or the only port of a board there is. Raises
+def find_port(name: str | None, enumerate_ports: Enumerate) -> BoardPort:
+    """The port called ``name``, of whatever make, or the only port of a board there is. Raises
     ConnectError."""
-    if wanted:
-        return _named(wanted, enumerate_ports)
+    if name:
+        return _named(name, enumerate_ports)
     found = board_ports(enumerate_ports)
     if not found:
         raise ConnectError(
@@ -99,15 +99,15 @@ def find_port(wanted: str | None, enumerate_ports: Enumerate) -> BoardPort:
     return found[0]
 
 
-def _named(wanted: str, enumerate_ports: Enumerate) -> BoardPort:
+def _named(name: str, enumerate_ports: Enumerate) -> BoardPort:
     for port in enumerate_ports():
-        if _same_device(port.device, wanted):
+        if _same_device(port.device, name):
             return _port(port)
-    if os.name != "nt" and Path(wanted).exists():
-        return BoardPort(wanted, PortKind.OTHER)
+    if os.name != "nt" and Path(name).exists():
+        return BoardPort(name, PortKind.OTHER)
     found = board_ports(enumerate_ports)
     raise ConnectError(
-        f"there is no port {wanted}{_listing(found)}",
+        f"there is no port {name}{_listing(found)}",
         "Check the cable (it must carry data) and the name.",
     )
 
@@ -134,35 +134,40 @@ def touch(port: BoardPort) -> None:
     lines are left so that the next program to open the port does not start that again: the system
     keeps a port's speed, and at 1200 baud every change of a line erases.
     """
-    line = serial.Serial(baudrate=ERASE_BAUD, exclusive=True)
-    line.port = port.device
     try:
-        line.open()
-        line.dtr = False
-        line.rts = False
-        if port.talks:
-            line.baudrate = BAUD
+        with _line(port, ERASE_BAUD) as line:
+            line.open()
+            line.dtr = False
+            line.rts = False
+            if port.talks:
+                line.baudrate = BAUD
     except (OSError, serial.SerialException) as error:
         raise ConnectError(
             f"cannot touch {port.device} at 1200 baud ({reason(error)})",
             "Check the cable, and that no other program holds the port.",
         ) from error
-    finally:
-        with contextlib.suppress(OSError, serial.SerialException):
-            line.close()
 
 
 def restart(port: BoardPort) -> bytes:
     """Resets the board by a rise of DTR, and returns what it sends in the seconds after that."""
-    line = serial.Serial(baudrate=BAUD, timeout=_RESTART_S, exclusive=True)
-    line.port = port.device
-    line.dtr = False
     try:
-        line.open()
-        line.dtr = True
-        return bytes(line.read(_RESTART_BYTES))
+        with _line(port, BAUD) as line:
+            line.timeout = _RESTART_S
+            line.dtr = False
+            line.open()
+            line.dtr = True
+            return bytes(line.read(_RESTART_BYTES))
     except (OSError, serial.SerialException) as error:
         raise cannot_open(port.device, error) from error
+
+
+@contextlib.contextmanager
+def _line(port: BoardPort, baud: int) -> Iterator[serial.Serial]:
+    """The port, not open yet; a failure to close it is of no interest."""
+    line = serial.Serial(baudrate=baud, exclusive=True)
+    line.port = port.device
+    try:
+        yield line
     finally:
         with contextlib.suppress(OSError, serial.SerialException):
             line.close()

@@ -59,8 +59,8 @@ class FlashError(TailbeatError):
 
 @dataclass(frozen=True)
 class FlashPlan:
-    """What is wanted. ``connect``: where to talk to the board when not by the port it is flashed
-    by. ``keep`` False: erase whatever the board holds without asking it."""
+    """What to flash, and how. ``connect``: where to talk to the board when not by the port it is
+    flashed by. ``keep`` False: erase whatever the board holds without asking it."""
 
     image: Path
     port: str | None = None
@@ -116,40 +116,32 @@ def flash(
     return _Flashing(plan, on_step, around or Surroundings(), tell, confirm).run()
 
 
+@dataclass
 class _Flashing:
-    """One run of the procedure."""
+    """One run of the procedure; the arguments are those of ``flash``."""
 
-    def __init__(
-        self,
-        plan: FlashPlan,
-        on_step: OnStep,
-        around: Surroundings,
-        tell: Callable[[str], None],
-        confirm: Callable[[str], bool],
-    ) -> None:
-        self._plan = plan
-        self._tell = tell
-        self._confirm = confirm
-        self._on_step = on_step
-        self._around = around
+    plan: FlashPlan
+    on_step: OnStep
+    around: Surroundings
+    tell: Callable[[str], None]
+    confirm: Callable[[str], bool]
+
+    def __post_init__(self) -> None:
+        plan = self.plan
         self._image = Image.load(plan.image)
         self._elf = self._image.elf() if plan.tool == OPENOCD else None
-        around.require_program(plan.tool, programs.PACKAGES[plan.tool])
+        self.around.require_program(plan.tool, programs.PACKAGES[plan.tool])
         self._port = self._find_port()
         self._kept: Backup | None = None
-        self._report = FlashReport(
-            image=plan.image,
-            size_bytes=self._image.size_bytes,
-            build_id=self._image.build_id,
-            tool=plan.tool,
-            port=self._port.device if self._port else None,
-        )
+        device = self._port.device if self._port else None
+        size, build_id = self._image.size_bytes, self._image.build_id
+        self._report = FlashReport(plan.image, size, build_id, plan.tool, device)
 
     def run(self) -> FlashReport:
         """All of it, in order."""
         self._keep()
         if self._port is not None:  # again: pulling trials may have taken minutes
-            self._around.require_free(self._port.device)
+            self.around.require_free(self._port.device)
         erase = self._way_to_erase()
         with self._failures_after_erase():
             self._write(erase)
@@ -158,26 +150,26 @@ class _Flashing:
 
     def _find_port(self) -> BoardPort | None:
         """None: OpenOCD needs no port, and the board is talked to elsewhere or not at all."""
-        if self._plan.tool == OPENOCD and not self._plan.port:
-            found = ports.board_ports(self._around.enumerate_ports)
-            if self._plan.connect or len(found) != 1:
+        if self.plan.tool == OPENOCD and not self.plan.port:
+            found = ports.board_ports(self.around.enumerate_ports)
+            if self.plan.connect or len(found) != 1:
                 return None
-        port = ports.find_port(self._plan.port, self._around.enumerate_ports)
-        self._around.require_free(port.device)
+        port = ports.find_port(self.plan.port, self.around.enumerate_ports)
+        self.around.require_free(port.device)
         return port
 
     def _talk_address(self) -> str | None:
         """Where the firmware can be spoken to. It does not serve the chip's own USB."""
-        if self._plan.connect:
-            return self._plan.connect
+        if self.plan.connect:
+            return self.plan.connect
         if self._port is not None and self._port.talks:
             return self._port.device
-        found = ports.board_ports(self._around.enumerate_ports)
+        found = ports.board_ports(self.around.enumerate_ports)
         beside = [port.device for port in found if port.kind is PortKind.PROGRAMMING]
         return beside[0] if len(beside) == 1 else None
 
     def _keep(self) -> None:
-        if not self._plan.keep:
+        if not self.plan.keep:
             self._report.notes.append("nothing was saved from the board (--no-keep)")
         elif self._port is not None and self._port.kind is PortKind.SAM_BA:
             self._report.notes.append("the board was in its boot loader: there was nobody to ask")
@@ -194,23 +186,23 @@ class _Flashing:
                 "Plug in its programming port, say where it is with --connect, or add --no-keep:"
                 " then all that is stored on it is lost.",
             )
-        self._on_step(0.0, "waiting for the board")
+        self.on_step(0.0, "waiting for the board")
         try:
-            fish = self._around.connect(address)
+            fish = self.around.connect(address)
         except (ConnectError, LinkLostError) as error:
             self._accept_silence(address, error)
             return
         with fish:
-            wipes = self._plan.tool == BOSSAC
+            wipes = self.plan.tool == BOSSAC
             require_quiet(fish, wipes)
             if wipes and (warning := key_warning(fish)):
-                self._tell(warning)
+                self.tell(warning)
             self._kept = back_up(
-                fish, self._plan.places, lambda at, text: self._on_step(0.1 + 0.4 * at, text)
+                fish, self.plan.places, lambda at, text: self.on_step(0.1 + 0.4 * at, text)
             )
         self._report.backup = self._kept.folder
         self._report.trials_pulled = self._kept.trials
-        if self._port is not None and self._plan.tool == BOSSAC:
+        if self._port is not None and self.plan.tool == BOSSAC:
             self._require_same_board(self._port, address, self._kept.snapshot.unique_id)
 
     def _require_same_board(self, port: BoardPort, address: str, saved_id: str) -> None:
@@ -218,7 +210,7 @@ class _Flashing:
         if not port.talks or port.device == address:
             return
         try:
-            with self._around.connect(port.device) as fish:
+            with self.around.connect(port.device) as fish:
                 unique_id = fish.info().unique_id
         except (ConnectError, LinkLostError) as error:
             unique_id = f"silent: {error.message}"
@@ -232,12 +224,12 @@ class _Flashing:
     def _accept_silence(self, address: str, error: TailbeatError) -> None:
         """Only a board that has nothing to lose may be silent: an erased one, whose boot loader
         answers, or one whose reset, by the opening of the port, starts no tailbeat."""
-        port = self._port if self._plan.tool == BOSSAC else None
-        if port is not None and programs.loader_answers(self._around.run, port):
+        port = self._port if self.plan.tool == BOSSAC else None
+        if port is not None and programs.loader_answers(self.around.run, port):
             self._report.notes.append("the board was in its boot loader: there was nothing to save")
             return
         never_ran = isinstance(error, NoBoardError) and error.heard in _NOT_TAILBEAT
-        if port is not None and never_ran and not self._plan.connect:
+        if port is not None and never_ran and not self.plan.connect:
             if port.kind is PortKind.OTHER:  # its opening may reset nothing
                 raise ConnectError(
                     f"no tailbeat board answers on {address}",
@@ -255,7 +247,7 @@ class _Flashing:
     def _require_no_start_of_tailbeat(self, port: BoardPort) -> None:
         """A second look, at a reset that is certain. Raises ConnectError."""
         hearing = Hearing(port.device)
-        hearing.add(self._around.restart(port), 0.0)
+        hearing.add(self.around.restart(port), 0.0)
         if hearing.kind not in _NOT_TAILBEAT:
             message, _ = hearing.words()
             raise ConnectError(f"{message}, so what it holds cannot be saved", _LOSE_ALL)
@@ -271,7 +263,7 @@ class _Flashing:
         if not port.may_be_touched:
             return self._erase_by_hand
         vendor, product = port.ids or (0, 0)
-        touch = self._confirm(
+        touch = self.confirm(
             f"{port.device} has the USB ids {vendor:04x}:{product:04x}, which are not a Due's."
             " Opening it at 1200 baud erases a board with an ATmega16U2; another device may do"
             " something else. Open it at 1200 baud?"
@@ -280,41 +272,41 @@ class _Flashing:
 
     def _erase_by_hand(self, port: BoardPort) -> BoardPort:
         """Waits until somebody has pressed the buttons, unless that is done already."""
-        deadline = self._around.now_s() + _BY_HAND_S
+        deadline = self.around.now_s() + _BY_HAND_S
         waits = False
-        while not programs.loader_answers(self._around.run, port):
+        while not programs.loader_answers(self.around.run, port):
             if not waits:
-                self._tell(
+                self.tell(
                     f"{port.device} cannot erase the board. {_BY_HAND}"
                     f" Waiting {_BY_HAND_S:g} s for the boot loader."
                 )
             waits = True
-            if self._around.now_s() >= deadline:
+            if self.around.now_s() >= deadline:
                 raise ConnectError(
                     f"the boot loader did not answer on {port.device} within {_BY_HAND_S:g} s"
                 )
-            self._around.sleep(_BY_HAND_POLL_S)
+            self.around.sleep(_BY_HAND_POLL_S)
         return port
 
     def _write(self, erase: Callable[[BoardPort], BoardPort]) -> None:
         if self._elf is not None:
-            self._on_step(0.5, "writing over SWD")
-            programs.write_by_openocd(self._around.run, self._elf, self._plan.adapter)
+            self.on_step(0.5, "writing over SWD")
+            programs.write_by_openocd(self.around.run, self._elf, self.plan.adapter)
             return
         assert self._port is not None
-        self._on_step(0.5, "erasing")
+        self.on_step(0.5, "erasing")
         loader = erase(self._port)
-        self._on_step(0.55, "writing and verifying")
-        programs.write_by_bossac(self._around.run, loader, self._image)
-        self._on_step(0.85, "starting")
-        self._around.sleep(_BOOT_BIT_S)
-        programs.start_by_bossac(self._around.run, loader)
+        self.on_step(0.55, "writing and verifying")
+        programs.write_by_bossac(self.around.run, loader, self._image)
+        self.on_step(0.85, "starting")
+        self.around.sleep(_BOOT_BIT_S)
+        programs.start_by_bossac(self.around.run, loader)
 
     def _erase(self, port: BoardPort) -> BoardPort:
         """The touch; then the port on which the boot loader waits."""
-        before = ports.board_ports(self._around.enumerate_ports)
-        self._around.touch(port)
-        self._around.sleep(_ERASED_S)
+        before = ports.board_ports(self.around.enumerate_ports)
+        self.around.touch(port)
+        self.around.sleep(_ERASED_S)
         if port.kind is PortKind.OTHER:
             return port
 
@@ -323,17 +315,17 @@ class _Flashing:
                 return found == port
             return found.kind is PortKind.SAM_BA and found not in before
 
-        deadline = self._around.now_s() + _RETURN_S
+        deadline = self.around.now_s() + _RETURN_S
         while True:
-            for found in ports.board_ports(self._around.enumerate_ports):
+            for found in ports.board_ports(self.around.enumerate_ports):
                 if back(found):
-                    self._around.sleep(_SETTLE_S)
+                    self.around.sleep(_SETTLE_S)
                     return found
-            if self._around.now_s() >= deadline:
+            if self.around.now_s() >= deadline:
                 raise ConnectError(
                     f"the board's boot loader did not appear on USB within {_RETURN_S:g} s"
                 )
-            self._around.sleep(_POLL_S)
+            self.around.sleep(_POLL_S)
 
     def _check_and_restore(self) -> None:
         address = self._talk_address()
@@ -343,7 +335,7 @@ class _Flashing:
                 f" {self._image.build_id}: tailbeat info"
             )
             return
-        self._on_step(0.9, "waiting for the new firmware")
+        self.on_step(0.9, "waiting for the new firmware")
         with self._failures_after_erase():
             fish = self._hear(address)
         with fish:
@@ -352,16 +344,16 @@ class _Flashing:
                 self._compare_build(fish, address)
             self._report.verified = True
             if self._kept is not None:
-                self._on_step(0.95, "restoring")
+                self.on_step(0.95, "restoring")
                 self._restore(fish, self._kept)
 
     def _hear(self, address: str) -> Fish:
         last: TailbeatError | None = None
         for attempt in range(_HEAR_TRIES):
             if attempt:
-                self._around.sleep(_HEAR_PAUSE_S)
+                self.around.sleep(_HEAR_PAUSE_S)
             try:
-                return self._around.connect(address)
+                return self.around.connect(address)
             except (ConnectError, LinkLostError) as error:
                 last = error
         raise ConnectError(
@@ -376,7 +368,7 @@ class _Flashing:
                 f"the board on {address} is not the one that was saved: its id is"
                 f" {info.unique_id}, not {self._kept.snapshot.unique_id}"
             )
-        if self._plan.tool == BOSSAC and info.status.reference_crc is not None:
+        if self.plan.tool == BOSSAC and info.status.reference_crc is not None:
             raise TailbeatError(
                 f"the board on {address} still has its reference: another one was erased"
             )
@@ -410,7 +402,7 @@ class _Flashing:
             yield
         except (TailbeatError, OSError, KeyboardInterrupt) as error:
             remedy = _RECOVER
-            if self._plan.tool == OPENOCD:
+            if self.plan.tool == OPENOCD:
                 remedy = f"Check the SWD probe and its wires. A board that is dead: {_RECOVER}"
             if self._kept is not None:
                 remedy += f" {_back_by(self._kept)}"

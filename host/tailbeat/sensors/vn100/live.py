@@ -68,7 +68,7 @@ class RegisterSetting:
 
 @dataclass(frozen=True)
 class Setup:
-    """A sensor that streams as wanted."""
+    """A sensor that streams as configured."""
 
     model: str
     firmware: str
@@ -105,7 +105,7 @@ class Driver:
 
     @property
     def problem(self) -> ImuProblem:
-        """Why it does not stream as wanted."""
+        """Why it does not stream as configured."""
         return problem_info(int(self._driver.problem))
 
     @property
@@ -338,7 +338,7 @@ class LiveSensor:
 
 
 def configure(live: LiveSensor) -> Setup:
-    """Sets the sensor up; returns once it streams. Raises SensorError with the driver's verdict."""
+    """Sets the sensor up; returns once it streams. Raises SensorError with the driver's problem."""
     driver = live.driver
     assert driver is not None
     end_s = live.source.now_s() + VERDICT_S + 1.0
