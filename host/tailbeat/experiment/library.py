@@ -160,7 +160,8 @@ class TrialLibrary(TrialStore):
         with self.changing():
             folder.mkdir(exist_ok=True)
             order = 1 + max((_order(path) for path in folder.iterdir()), default=0)
-            path = self.add_file(folder / f"{order:06d}{ending}", content)
+            path = folder / f"{order:06d}{ending}"
+            self.add_file(path, content)
             for made in (self.folder, self.folder.parent):
                 sync_folder(made)
         return path

@@ -251,22 +251,16 @@ class TrialStore:
                 f"cannot write into {self.folder} ({reason(error)})", self.remedy
             ) from error
 
-    def add_file(self, path: Path, content: bytes) -> Path:
+    def add_file(self, path: Path, content: bytes) -> None:
         """Write a file once: lasting and read-only when it returns. Raises InputError.
 
         Parameters
         ----------
         path, content : Path, bytes
             Where it is written, and all that it holds.
-
-        Returns
-        -------
-        Path
-            ``path``.
         """
         write_whole(path, content, MAKE_ROOM_AGAIN)
         path.chmod(_READ_ONLY)
-        return path
 
 
 @dataclass(frozen=True)
