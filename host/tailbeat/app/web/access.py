@@ -5,8 +5,9 @@ Two doors. By default it listens on this computer only, and every request must n
 With a token nothing is answered without it: the first visit brings it in the address, after that a
 cookie does that no script can read and no other site makes the browser send.
 
-The gate applies these rules before the web server gets a connection, which serves one request. It
-answers ABORT itself, however much there is to do behind.
+The gate applies these rules before the web server gets a connection, which serves one request, and
+answers ABORT itself, however much there is to do behind. The web server refuses what the gate would
+have answered.
 """
 
 from __future__ import annotations
@@ -192,13 +193,21 @@ class Request:
 
 @dataclass(frozen=True)
 class Guarded:
-    """Before ``app`` (ASGI): puts the headers on every answer."""
+    """Before ``app`` (ASGI): puts the headers on every answer, and lets nothing in that the gate
+    should have answered, should it ever get past the gate."""
 
     app: App
+    rules: Rules
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        host = Request.of(scope).host if "headers" in scope else ""
-        policy = (b"content-security-policy", _POLICY.format(host=host).encode())
+        if "headers" not in scope:
+            await self.app(scope, receive, send)
+            return
+        request = Request.of(scope)
+        if self.rules.reply(request) is not None:
+            await _refuse(scope, receive, send)
+            return
+        policy = (b"content-security-policy", _POLICY.format(host=request.host).encode())
 
         async def guarded(message: MutableMapping[str, Any]) -> None:
             if message["type"] == "http.response.start":
@@ -206,3 +215,18 @@ class Guarded:
             await send(message)
 
         await self.app(scope, receive, guarded)
+
+
+_POLICY_VIOLATION = 1008
+_PAST_THE_GATE = Reply(HTTPStatus.FORBIDDEN, "tailbeat: ask on a new connection\n")
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send) -> None:
+    if scope["type"] == "websocket":
+        await receive()  # websocket.connect; closing before accepting it answers 403
+        await send({"type": "websocket.close", "code": _POLICY_VIOLATION})
+        return
+    reply = _PAST_THE_GATE
+    head = {"status": reply.status, "headers": reply.all_headers()}
+    await send({"type": "http.response.start", **head})
+    await send({"type": "http.response.body", "body": reply.text.encode()})

@@ -141,9 +141,10 @@ def serve(worker: Worker, place: ListenAddress, show: bool = False) -> None:
     def abort() -> None:
         worker.ask("abort")
 
-    gate = Gate(place.listener, Rules(place.token, place.port), abort)
+    rules = Rules(place.token, place.port)
+    gate = Gate(place.listener, rules, abort)
     config = uvicorn.Config(
-        Guarded(Turns(outer)),
+        Guarded(Turns(outer), rules),
         interface="asgi3",
         loop="asyncio",
         http="h11",  # as the gate, so that both read a header alike

@@ -65,10 +65,12 @@ def knock(
     async def send(message: Any) -> None:
         sent.append(message)
 
+    asyncio.run(Guarded(_inside, Rules(token, 8080))(scope, receive, send))
     if (reply := Rules(token, 8080).reply(Request.of(scope))) is not None:
+        # Should it get past the gate, which answers it, the web server refuses it, too.
+        assert sent[0].get("status") == 403 or sent[0]["type"] == "websocket.close"
         body = reply.text.encode()
         return Answer(reply.status, reply.all_headers(), body, reply is ABORTED)
-    asyncio.run(Guarded(_inside)(scope, receive, send))
     if kind == "websocket":
         return Answer(101, (), b"", False)
     return Answer(sent[0]["status"], sent[0]["headers"], sent[1]["body"], False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from tailbeat.app.web.access import Guarded
+from tailbeat.app.web.access import Guarded, Rules
 from tailbeat.app.web.server import WAITING_MAX, Turns
 
 MANY = 150
@@ -24,7 +24,7 @@ class House:
         self.ready = ready
         self.taken = asyncio.Event()
         self.taken.set()
-        self.door = Guarded(Turns(self.serve))
+        self.door = Guarded(Turns(self.serve), Rules(None, 8080))
 
     async def serve(self, scope: Any, receive: Any, send: Any) -> None:
         if scope["path"] == FILE:
@@ -152,7 +152,7 @@ def test_a_page_that_fails_gives_its_turn_on() -> None:
 
     async def day() -> list[Any]:
         house = House()
-        house.door = Guarded(Turns(fail))
+        house.door = Guarded(Turns(fail), Rules(None, 8080))
         asked = [house.ask("/") for _ in range(3)]
         return await asyncio.gather(*asked, return_exceptions=True)
 
