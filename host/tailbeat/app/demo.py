@@ -129,19 +129,17 @@ def _address(options: DemoOptions) -> str:
     """Where to connect, with plant and seed if they are given. A demo is reproducible: without a
     seed the simulated board has the usual one."""
     url = options.connect or "sim"
-    seed = options.seed
-    if seed is None and is_simulated(url) and "seed=" not in url:
+    simulated, seed = is_simulated(url), options.seed
+    if seed is None and simulated and "seed=" not in url:
         seed = DEFAULT_SEED
-    wanted = {"plant": options.plant, "seed": seed}
-    given = {name: value for name, value in wanted.items() if value is not None}
-    if not given:
-        return url
-    if not is_simulated(url):
+    asked = {"plant": options.plant, "seed": seed}
+    given = {name: value for name, value in asked.items() if value is not None}
+    if given and not simulated:
         raise InputError(
             f"{' and '.join(given)} given for a board that is not simulated here",
             "Leave them out, or connect to sim or vboard.",
         )
-    return f"{url}{'&' if '?' in url else '?'}{urlencode(given)}"
+    return f"{url}{'&' if '?' in url else '?'}{urlencode(given)}" if given else url
 
 
 class _Demo:
@@ -170,18 +168,16 @@ class _Demo:
         experiment.note(f"demo: {count} trials")
         copy_state(self.fish, experiment)
         write_redo(experiment)
-        bound = self._floor()
         return DemoResult(
-            plant=self.plant,
-            gain=self.options.gain,
-            lead=self.lead,
-            seed=self.sim.seed if self.sim else None,
-            floor_m_s=bound[0],
-            floor_lsq_m_s=bound[1],
-            trials=self.rows,
-            report=write_report(experiment).page,
-            law=self.options.law,
-            identified=self.identified.model if self.identified else None,
+            self.plant,
+            self.options.gain,
+            self.lead,
+            self.sim.seed if self.sim else None,
+            *self._floor(),
+            self.rows,
+            write_report(experiment).page,
+            self.options.law,
+            self.identified.model if self.identified else None,
         )
 
     def _prepare(self) -> None:
@@ -226,12 +222,10 @@ class _Demo:
         label = "model" if self.identified is not None else self.law.label()
         names = fish, self.reference.name, label
         out = self.options.out
-        if out is None:
-            experiment = Experiment.new(EXPERIMENTS, *names)
-        else:
-            if (out / "settings.json").exists():
-                _make_room(Experiment.open(out))
-            experiment = Experiment.at(out, *names)
+        if out is not None and (out / "settings.json").exists():
+            _make_room(Experiment.open(out))
+        new = Experiment.at if out is not None else Experiment.new
+        experiment = new(out or EXPERIMENTS, *names)
         experiment.write_settings(
             {
                 "made_by": "demo",
@@ -302,13 +296,12 @@ class _Demo:
         beats = self.sim.world.true_beats()[: self.reference.beats]
         true = np.abs(self.reference.speed_m_s[: len(beats)] - beats)
         speeds = self.sim.world.true_speeds_25hz()[: round(self.reference.duration_s / _SAMPLE_S)]
-        wanted = reference.thesis_speed(np.arange(len(speeds), dtype=np.float64) * _SAMPLE_S)
-        return float(true.max()), float(np.abs(wanted - speeds).max())
+        desired = reference.thesis_speed(np.arange(len(speeds), dtype=np.float64) * _SAMPLE_S)
+        return float(true.max()), float(np.abs(desired - speeds).max())
 
     def _floor(self) -> tuple[float | None, float | None]:
         if self.sim is None:
             return None, None
-
         fixed = ("seed", "plant")
         values = {name: v for name, v in self.sim.config.items() if name not in fixed}
         config = plant_config(self.plant, values)
@@ -339,20 +332,16 @@ def compare(
     from the trial's file and the board's ``visits`` before it learned."""
     beats = trial.beats
     speed, _ = recompute_beats(trial)
-    if not same_bits(speed, beats.speed_m_s):
-        raise Mismatch(
-            f"trial {trial.number}: the beat means recomputed from its file differ.",
-            "Tool and firmware may differ in version.",
-        )
-    if rolled_back:
-        return
-    error, measured = laws.errors_of(beats.reference_m_s, beats.speed_m_s)
-    expected, _ = laws.update(law, beats.amplitude_rad, error, measured, visits)
-    if not same_bits(expected, learned):
-        raise Mismatch(
-            f"trial {trial.number}: the amplitudes the board learned are not what the law gives.",
-            "Tool and firmware may differ in version.",
-        )
+    what = "the beat means recomputed from its file differ"
+    if same_bits(speed, beats.speed_m_s):
+        if rolled_back:
+            return
+        error, measured = laws.errors_of(beats.reference_m_s, beats.speed_m_s)
+        expected, _ = laws.update(law, beats.amplitude_rad, error, measured, visits)
+        if same_bits(expected, learned):
+            return
+        what = "the amplitudes the board learned are not what the law gives"
+    raise Mismatch(f"trial {trial.number}: {what}.", "Tool and firmware may differ in version.")
 
 
 def same_bits(a: F32, b: F32) -> bool:
@@ -363,29 +352,19 @@ def same_bits(a: F32, b: F32) -> bool:
     return bool(np.all(same | (np.isnan(a) & np.isnan(b))))
 
 
-def _zero_row(wanted: reference.Reference) -> DemoTrial:
+def _zero_row(profile: reference.Reference) -> DemoTrial:
     """Iteration 0, the zero input: its error is the reference."""
-    speed = wanted.speed_m_s.astype(np.float64)
-    time = np.arange(round(wanted.duration_s / _SAMPLE_S), dtype=np.float64) * _SAMPLE_S
-    return DemoTrial(
-        iteration=0,
-        trial=0,
-        max_abs_error_m_s=float(speed.max()),
-        rms_error_m_s=float(np.sqrt(np.mean(speed**2))),
-        true_max_abs_error_m_s=float(speed.max()),
-        max_abs_error_25hz_m_s=float(reference.thesis_speed(time).max()),
-        saturated_beats=0,
-        distance_m=0.0,
-        duration_s=0.0,
-        end="complete",
-    )
+    speed = profile.speed_m_s.astype(np.float64)
+    time = np.arange(round(profile.duration_s / _SAMPLE_S), dtype=np.float64) * _SAMPLE_S
+    top, rms = float(speed.max()), float(np.sqrt(np.mean(speed**2)))
+    fine = float(reference.thesis_speed(time).max())
+    return DemoTrial(0, 0, top, rms, top, fine, 0, 0.0, 0.0, "complete")
 
 
 def _make_room(old: Experiment) -> None:
     """A simulated demo can be made again; anything else is somebody's data."""
     settings = old.settings()
     if settings.get("made_by") != "demo" or not settings.get("simulated"):
-        raise InputError(
-            f"{old.folder} holds an experiment that no demo made.", "Choose another --out."
-        )
+        words = f"{old.folder} holds an experiment that no demo made."
+        raise InputError(words, "Choose another --out.")
     old.clear()

@@ -37,7 +37,7 @@ Progress = Callable[[float, str], None]
 
 TRUTH_COLUMNS = ("t_s", "x_m", "y_m", "heading_rad", "tail_rad", "led", "speed_m_s")
 _FORMATS = (".mp4", ".mkv")
-_LOG = ".ulg"
+_TRUTH, _TANK, _LOG = ".truth.csv", ".tank.json", ".ulg"
 _AMPLITUDE_MAX_RAD = math.pi / 4
 _SWIM_SHARE = 0.1  # of the work; the rest is drawing
 _AFTER_S = 2.0  # of film after the last beat
@@ -98,19 +98,20 @@ def make_exercise(
         written = folder / film.name
         trial, fps = _swim(options, written.with_suffix(_LOG), progress)
         _draw(written, trial, options.scene, fps, progress)
-        _write_truth(written.with_suffix(".truth.csv"), trial)
-        options.scene.calibration().save(written.with_suffix(".tank.json"))
+        _write_truth(written.with_suffix(_TRUTH), trial)
+        options.scene.calibration().save(written.with_suffix(_TANK))
         for path in sorted(folder.iterdir()):
             path.replace(film.parent / path.name)
     shot = 1 + picture_index(trial.frames[-1], fps) - picture_index(trial.frames[0], fps)
+    pictures = len(trial.frames)
     return Exercise(
         film=film,
-        truth=film.with_suffix(".truth.csv"),
-        calibration=film.with_suffix(".tank.json"),
+        truth=film.with_suffix(_TRUTH),
+        calibration=film.with_suffix(_TANK),
         trial_file=film.with_suffix(_LOG),
         trial=trial.trial,
-        pictures=len(trial.frames),
-        lost=shot - len(trial.frames),
+        pictures=pictures,
+        lost=shot - pictures,
         fps=fps,
         swim_begin_s=trial.begin_s - trial.frames[0].time_s,
         beat_s=options.reference.beat_s,
@@ -249,7 +250,7 @@ def _check_name(film: Path) -> None:
         raise InputError(f"there is no folder {film.parent}.", "Make it, or write elsewhere.")
     # The log's name is no different from a real trial's.
     there = film.with_suffix(_LOG)
-    if there.exists() and not film.with_suffix(".truth.csv").exists():
+    if there.exists() and not film.with_suffix(_TRUTH).exists():
         raise InputError(
             f"{there} is there already and may be a real trial's.", "Give the film another name."
         )

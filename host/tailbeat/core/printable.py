@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import unicodedata
+from collections.abc import Iterable
 
 _UNSAFE = ("Cc", "Cf", "Cs", "Zl", "Zp")  # controls, formats, surrogates, line separators
 
@@ -27,6 +28,12 @@ def mm(value_m_s: float | None, unknown: str = "-") -> str:
     if value_m_s is None or not math.isfinite(value_m_s):
         return unknown
     return f"{value_m_s * 1e3:.1f}"
+
+
+def amplitude_rows(amplitude_rad: Iterable[float]) -> str:
+    """A CSV of the amplitudes of the beats, in full precision."""
+    rows = (f"{beat},{float(value)!r}" for beat, value in enumerate(amplitude_rad))
+    return "\n".join(["beat,amplitude_rad", *rows])
 
 
 def _shown(sign: str) -> str:

@@ -22,6 +22,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_TRIAL, refusal
 from tailbeat.core.law import Law
 from tailbeat.core.law_memory import LawMemory, Memory, PastTrial
+from tailbeat.core.printable import amplitude_rows
 from tailbeat.core.records import decode_past, decode_reference, past_path, record_crc
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.learning.fish_model import TrialSpeeds
@@ -61,8 +62,7 @@ class DryRun:
         )
         if self.rolled_back:
             head += "; worse twice, the best amplitudes would come back"
-        rows = [f"{beat},{float(value)!r}" for beat, value in enumerate(self.amplitude_rad)]
-        return "\n".join([head, "beat,amplitude_rad", *rows])
+        return f"{head}\n{amplitude_rows(self.amplitude_rad)}"
 
 
 def dry_run(fish: Fish, number: int | None = None) -> DryRun:

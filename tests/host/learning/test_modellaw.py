@@ -381,7 +381,7 @@ def test_words_after_a_rollback_are_true(
     median_m_s: float,
 ) -> None:
     fish.upload_reference(SHORT.record())
-    learn_with_model(fish, None, identified_file, False)
+    learn_with_model(fish, None, Identified.load(identified_file), False)
     book.keep(fish.pull_trial(run_trial(fish).number, tmp_path))
     fish.learn()
     best = fish.amplitudes(best=True).values
@@ -404,7 +404,7 @@ def test_words_after_a_rollback_are_true(
 
     monkeypatch.setattr(fish, "pull_trial", counted)
     capsys.readouterr()
-    said = printed(learn_with_model(fish, None, identified_file, False))
+    said = printed(learn_with_model(fish, None, Identified.load(identified_file), False))
     assert pulls == [number]  # once: the radio is slow
     recorded = fish.amplitudes().values
     if law == "model" and median_m_s < 1:
@@ -415,7 +415,7 @@ def test_words_after_a_rollback_are_true(
     assert "the best amplitudes swim next" in said and "replaces" not in said
     assert said.endswith("rolled back to trial 1's input")
     assert recorded.tolist() == best.tolist()
-    again = learn_with_model(fish, None, identified_file, False)  # nothing pending
+    again = learn_with_model(fish, None, Identified.load(identified_file), False)  # nothing pending
     assert "the best amplitudes swim next" in printed(again)
     assert fish.amplitudes().values.tolist() == best.tolist()
 
@@ -426,7 +426,7 @@ def test_another_fishs_model_is_told(
     fish.upload_reference(SHORT.record())
     for unique_id, said in (("abc", True), (fish.unique_id(), False)):
         replace(known(Prior().model), unique_id=unique_id).save(tmp_path / "other.json")
-        learn_with_model(fish, None, tmp_path / "other.json", False)
+        learn_with_model(fish, None, Identified.load(tmp_path / "other.json"), False)
         err = capsys.readouterr().err
         assert (err == f"tailbeat: identified on another fish ({unique_id})\n") is said
 
@@ -437,7 +437,7 @@ def test_a_reference_that_stands_for_none(
     fish.upload_reference(REST)
     assert board_reference(fish) is None
     with pytest.raises(InputError, match="the board has no reference"):
-        learn_with_model(fish, None, identified_file, False)
+        learn_with_model(fish, None, Identified.load(identified_file), False)
 
 
 @pytest.fixture
@@ -468,7 +468,7 @@ def test_session_on_a_board(
     fish.upload_reference(SHORT.record())
 
     def learn(dry_run: bool = False) -> dict[str, Any]:
-        output = learn_with_model(fish, None, identified_file, dry_run)
+        output = learn_with_model(fish, None, Identified.load(identified_file), dry_run)
         document = plain(output.document)
         assert isinstance(document, dict)
         return document
@@ -500,11 +500,13 @@ def test_session_says_one_line(
     fish: Fish, book: TrialLibrary, identified_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fish.upload_reference(SHORT.record())
-    line = printed(learn_with_model(fish, None, identified_file, False))
+    line = printed(learn_with_model(fish, None, Identified.load(identified_file), False))
     assert line.startswith("planned with the identified model") and "\n" not in line
     fish.arm()
     run_trial(fish)
-    first = printed(learn_with_model(fish, None, identified_file, False)).splitlines()[0]
+    first = printed(
+        learn_with_model(fish, None, Identified.load(identified_file), False)
+    ).splitlines()[0]
     assert first.startswith("trial 1: max|e| ") and "predicted" in first and "next max|e|" in first
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat.app.cli import _experiment
+from tailbeat.app.cli import _options
 from tailbeat.app.cli._terminal import Display
 from tailbeat.app.cli.session import _operator
 from tailbeat.board import preserve
@@ -349,7 +349,7 @@ def test_a_trim_that_was_broken_off_is_put_back(
     assert swapped.status().pending_trial == 5 and swapped.status().state == "ABORTED"
     swapped.clear()
     use(swapped, experiment)
-    _experiment.discard_and_keep(swapped, None, False, "why not")  # is not refused, either
+    _options.discard_and_keep(swapped, None, False, "why not")  # is not refused, either
     assert is_interrupted(swapped)
     assert experiment.journal.decisions().get(5) is None
     found = restore(swapped, experiment)
@@ -710,6 +710,6 @@ def test_words_for_people(swapped: Fish, experiment: Experiment) -> None:
     found: Restored = restore(swapped, experiment)
     from tailbeat.app.cli.session import _restored_lines
 
-    lines = _restored_lines(found, experiment)
+    lines = _restored_lines(found, experiment).splitlines()
     assert lines[0].startswith("given back, as") and "ILC_LEAD 1.5" in lines[0]
     assert "iteration 5 swims next, 8.3" in lines[-1]

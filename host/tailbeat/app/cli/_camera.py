@@ -18,7 +18,7 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.frames import Camera
 from tailbeat.core.records import decode_reference
 from tailbeat.core.trial_file import read_trial
-from tailbeat.experiment.library import library_of
+from tailbeat.experiment.library import identified_if_readable, library_of
 from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration
 from tailbeat.sensors.camera.marker.detector import KINDS, MARKERS, Marker, MarkerKind
 from tailbeat.sensors.camera.render.source import RemoteCamera
@@ -40,7 +40,9 @@ MARKERS_METAVAR = "|".join(KINDS)
 class MarkerOptions:
     """What every command that looks through a camera asks for."""
 
-    calibration: Path | None = opt("What 'camera calibrate' wrote.", "TANK.json")
+    calibration: Calibration | None = opt(
+        "What 'camera calibrate' wrote.", "TANK.json", by=load_calibration
+    )
     marker: MarkerKind = opt("What is on the fish.", MARKERS_METAVAR, default="aruco")
     marker_id: int | None = opt("Number of the fish's marker; default: any one.", min=0)
     marker_side: float | None = opt("Side of its black square, to check it.", "M")
@@ -77,8 +79,6 @@ class CameraOptions(MarkerOptions):
     def check(self, video: Path | None = None) -> None:
         """What can be told before there is a fish. Raises typer.BadParameter, InputError."""
         self.on_fish()
-        if self.calibration is not None:
-            load_calibration(self.calibration)
         if self.camera is not None and self.positions:
             tcp_address(self.camera)
         if video is not None and self.positions:
@@ -135,8 +135,7 @@ def live_camera(
     """The camera for the length of a trial; ``video``: its film. Raises InputError,
     ConnectError."""
     options.check(video)
-    file, wall_m = options.calibration, options.wall_m()
-    known = None if file is None else load_calibration(file)
+    known, wall_m = options.calibration, options.wall_m()
     if options.positions:
         place = options.camera and tcp_address(options.camera)
         with closing(RemoteCamera(*place)) if place else nullcontext() as positions:
@@ -181,10 +180,8 @@ def _guard(fish: Fish, calibration: Calibration | None, wall_m: float | None) ->
 
 def _kappa_per_m(fish: Fish) -> float:
     """The fish's drag: as identified, else as the board has it."""
-    book = library_of(fish)
-    with suppress(InputError):
-        if book is not None and (identified := book.identified()) is not None:
-            return identified.model.kappa_per_m
+    if (identified := identified_if_readable(library_of(fish))) is not None:
+        return identified.model.kappa_per_m
     return fish.params.get("MDL_KAPPA").value
 
 
@@ -204,9 +201,9 @@ def camera_report(
         report |= {"late_s": late_s, "late_sigma_s": sigma_s}
         text += f"; stamps late by {late_s * 1e3:.0f} +- {sigma_s * 1e3:.0f} ms"
         if abs(late_s) > LATE_MAX_S:
-            side = "late" if late_s > 0 else "early"
             warn(
-                f"the pictures' stamps are {abs(late_s) * 1e3:.0f} ms {side} by the fish's LED;"
+                f"the pictures' stamps are {abs(late_s) * 1e3:.0f} ms"
+                f" {'late' if late_s > 0 else 'early'} by the fish's LED;"
                 f" next time give --latency {latency_s + late_s:.3f}"
             )
     return report, text

@@ -10,8 +10,8 @@ from functools import cached_property, wraps
 from importlib import import_module
 from inspect import Parameter, signature
 from itertools import groupby
-from types import MappingProxyType, NoneType
-from typing import Annotated, Any, get_args, get_type_hints
+from types import NoneType
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -22,43 +22,59 @@ from tailbeat.app.cli._terminal import Output, json_asked, present
 from tailbeat.core.extras import need
 
 PACKAGE = "tailbeat.app.cli"
-_NONE: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the table. ``target``: module:function in this package; empty for a group, whose
-    ``default`` names the command that runs when none is named. ``needs``: arguments of
-    core.extras.need for a command that an extra brings."""
+    """One line of the table. ``default``: of a group, the command that runs when none is named.
+    ``module``: of this package, that has it; default: named as its group.
+    ``was``: an old name, hidden until 1.0; a group's stands for all its commands. ``renamed``: the
+    old spelling of an option, and the new one. ``needs``: arguments of core.extras.need for a
+    command that an extra brings."""
 
     help: str
-    target: str = ""
     panel: str = "Commands"
     default: str = ""
+    module: str = ""
+    was: str = ""
+    renamed: tuple[str, str] = ("", "")
     needs: tuple[str, str, str] | None = None
     settings: Mapping[str, Any] | None = None
 
-    def load(self) -> Callable[..., Output | None]:
-        """The function that does it; imports its module."""
+    def load(self, path: str) -> Callable[..., Output | None]:
+        """The function that does the command ``path``; imports its module. One that would have a
+        name of Python's has an underscore behind it."""
         if self.needs is not None:
             need(*self.needs)
-        module, _, name = self.target.partition(":")
-        function: Callable[..., Output | None] = getattr(import_module(f"{PACKAGE}.{module}"), name)
+        *groups, name = path.split()
+        names = vars(import_module(f"{PACKAGE}.{self.module or groups[-1]}"))
+        function: Callable[..., Output | None] = names.get(f"{name}_") or names[name]
         return function
 
 
-def opt(
-    help: str, metavar: str | None = None, name: str = "", default: Any = None, **settings: Any
-) -> Any:
+def opt(help: str, metavar: str | None = None, name: str = "", **settings: Any) -> Any:
     """An option, as a parameter's default or within Annotated. Its name is the parameter's, unless
-    it has another one or two (``--x/--no-x``)."""
-    names = [name] if name else []
-    return typer.Option(default, *names, help=help, metavar=metavar, **settings)
+    it has another one or two (``--x/--no-x``). The command gets what ``by`` makes of each word or
+    path that is typed, made as the command begins and before a bundle is opened."""
+    names = (name,) if name else ()
+    return _declared(typer.Option, *names, help=help, metavar=metavar, **settings)
 
 
-def arg(help: str = "", metavar: str | None = None, default: Any = None, **settings: Any) -> Any:
+def arg(help: str = "", metavar: str | None = None, **settings: Any) -> Any:
     """A positional argument, as ``opt``."""
-    return typer.Argument(default, help=help or None, metavar=metavar, **settings)
+    return _declared(typer.Argument, help=help or None, metavar=metavar, **settings)
+
+
+def _declared(
+    kind: Callable[..., Any],
+    *names: str,
+    default: Any = None,
+    by: Callable[[Any], Any] | None = None,
+    **settings: Any,
+) -> Any:
+    info = kind(default, *names, **settings)
+    info.by = by
+    return info
 
 
 JSON = Annotated[bool, opt("Print one JSON document, nothing else.")]
@@ -70,21 +86,28 @@ def command_of(function: Callable[..., Output | None]) -> Callable[..., None]:
     gives for the length of the call. Every command has --json."""
     hints = get_type_hints(function, include_extras=True)
     del hints["return"]
-    bundles = {name: found for name, hint in hints.items() if (found := _bundle(hint))}
+    defaults = {one.name: one.default for one in signature(function).parameters.values()}
+    bundles = {
+        name: found
+        for name, default in defaults.items()
+        if default is Parameter.empty and (found := _bundle(hints[name]))
+    }
     own: list[Parameter] = []
     last: list[Parameter] = []  # options that stand at the end, as --connect and --json
-    for name, parameter in signature(function).parameters.items():
+    for name, default in defaults.items():
         if name not in bundles:
-            own.append(_parameter(name, hints[name], parameter.default))
+            own.append(_parameter(name, hints[name], default))
             continue
         known = get_type_hints(bundles[name], include_extras=True)
         options = [_parameter(f.name, known[f.name], f.default) for f in fields(bundles[name])]
         (own if is_dataclass(hints[name]) else last).extend(options)
-    last.append(_parameter("json", JSON, False))
+    parameters = [*own, *last, _parameter("json", JSON, False)]
+    makers = {one.name: one.annotation.__metadata__[0].by for one in parameters}
 
     @wraps(function)
     def call(**given: Any) -> None:
         json_asked.set(given.pop("json"))
+        given = {name: _made(makers[name], typed) for name, typed in given.items()}
         with ExitStack() as stack:
             for name, bundle in bundles.items():
                 made: Any = bundle(**{f.name: given.pop(f.name) for f in fields(bundle)})
@@ -94,7 +117,6 @@ def command_of(function: Callable[..., Output | None]) -> Callable[..., None]:
         if output is not None:
             present(output)
 
-    parameters = [*own, *last]
     call.__signature__ = signature(call).replace(parameters=parameters)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in parameters}
     del call.__wrapped__
@@ -105,6 +127,20 @@ def _bundle(hint: Any) -> Any:
     """The option bundle that a parameter stands for."""
     candidates = (hint, *getattr(hint, "__metadata__", ()))
     return next((one for one in candidates if isinstance(one, type) and is_dataclass(one)), None)
+
+
+def _made(by: Callable[[Any], Any] | None, typed: Any) -> Any:
+    if by is None or typed is None:
+        return typed
+    return [*map(by, typed)] if isinstance(typed, list) else by(typed)
+
+
+def _typed(hint: Any, by: Callable[[Any], Any]) -> Any:
+    """The type of what is typed, for that of what is made of it."""
+    kind: Any = next(iter(get_type_hints(by).values()))
+    if any(get_origin(one) is list for one in (hint, *get_args(hint))):
+        kind = list[kind]
+    return kind | None if NoneType in get_args(hint) else kind
 
 
 def _parameter(name: str, hint: Any, default: Any) -> Parameter:
@@ -119,26 +155,24 @@ def _parameter(name: str, hint: Any, default: Any) -> Parameter:
         info.param_decls = info.param_decls or (f"--{name.rstrip('_').replace('_', '-')}",)
     if default is None and NoneType not in get_args(hint):
         default = False if hint is bool else Parameter.empty
-    annotation = Annotated[hint, info]
-    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+    by = info.by  # type: ignore[union-attr]
+    kind: Any = Annotated[_typed(hint, by) if by else hint, info]
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
 
 
 class LazyCommand(TyperCommand):
-    """Stands for a command in lists; becomes it when it is called, or its help is asked.
-    ``options``: old spellings of its options, to the new ones."""
+    """Stands for a command in lists; becomes it when it is called, or its help is asked."""
 
-    def __init__(
-        self, name: str, entry: Entry, hidden: bool = False, options: Mapping[str, str] = _NONE
-    ) -> None:
+    def __init__(self, name: str, path: str, entry: Entry, hidden: bool = False) -> None:
         super().__init__(name, short_help=entry.help, hidden=hidden, rich_markup_mode=None)
-        self.entry, self._options = entry, options
+        self.path, self.entry = path, entry
 
     @cached_property
     def loaded(self) -> Any:
         """The command itself."""
         alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-        settings = dict(self.entry.settings or {})
-        alone.command(self.name, context_settings=settings)(command_of(self.entry.load()))
+        function = command_of(self.entry.load(self.path))
+        alone.command(self.name, context_settings=dict(self.entry.settings or {}))(function)
         return get_command(alone)
 
     def make_context(
@@ -149,7 +183,8 @@ class LazyCommand(TyperCommand):
 
     def _now(self, word: str) -> str:
         option, equals, value = word.partition("=")
-        return self._options.get(option, option) + equals + value
+        old, new = self.entry.renamed
+        return (new if option == old else option) + equals + value
 
 
 class LazyGroup(TyperGroup):

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
@@ -73,9 +73,18 @@ def pick(source: object, *names: str) -> dict[str, Any]:
     return {name: getattr(source, name) for name in names}
 
 
-def write_json(document: Any) -> None:
-    """One JSON document on stdout."""
-    sys.stdout.write(json.dumps(plain(document), indent=2, allow_nan=False) + "\n")
+def lines_of(*parts: Any) -> str:
+    """One text of lines and of lists of lines; those that are None, empty or False are left out."""
+    lines: list[str] = []
+    for part in parts:
+        lines += [part] if part and isinstance(part, str) else part or ()
+    return "\n".join(lines)
+
+
+def write_json(document: Any, indent: int | None = 2) -> None:
+    """One JSON document on stdout, at once."""
+    sys.stdout.write(json.dumps(plain(document), indent=indent, allow_nan=False) + "\n")
+    sys.stdout.flush()
 
 
 def print_line(document: Any, text: str) -> None:
@@ -100,8 +109,7 @@ def echo(text: str, err: bool = False, nl: bool = True) -> None:
 
 def json_line(document: Any) -> None:
     """One line of a JSON stream."""
-    sys.stdout.write(json.dumps(plain(document), allow_nan=False) + "\n")
-    sys.stdout.flush()
+    write_json(document, None)
 
 
 def table(header: list[str], rows: list[list[Any]], left: tuple[int, ...] = ()) -> str:
@@ -181,12 +189,7 @@ class Display:
     def __enter__(self) -> Display:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.clear()
 
     def show(self, text: str) -> None:
@@ -195,9 +198,7 @@ class Display:
             return
         from rich.text import Text
 
-        self._text = text
-        if self._live is None:
-            self._live = self._begin()
+        self._text, self._live = text, self._live or self._begin()
         self._live.update(Text(printable(text), no_wrap=True, overflow="ellipsis"), refresh=True)
 
     @property

@@ -20,146 +20,124 @@ _OS_REMEDY = "Check the path, your rights there and the free space."
 CONNECT, RUN, ANALYSE = "Connect", "Run", "Analyse"
 SET_UP, REFERENCE, SIMULATE = "Set up", "Reference", "Simulate"
 
+_LOGBOOK = ("--logbook", "--library")
+_NEGATIVE_VALUES = {"ignore_unknown_options": True}
+
 GROUPS = {
-    "board": Entry("Check, arm and stop the board; its firmware, key and radio", panel=CONNECT),
-    "board key": Entry("The key that a board accepts commands with, and who has it"),
-    "board imu": Entry("The IMU: its state, its settings, raw frames", default="status"),
-    "session": Entry("A day at the tank: commission, trim, identify, resume", panel=RUN),
-    "trial": Entry("Run a trial; list, pull and show the logs", panel=RUN),
-    "experiment": Entry("The folder of a series: notes, progress, compare, export", panel=ANALYSE),
-    "params": Entry("The board's parameters", panel=SET_UP),
-    "camera": Entry("Speed from an overhead camera", panel=SET_UP),
-    "reference": Entry("The desired speed per tail beat", panel=REFERENCE),
-    "sim": Entry("A simulated fish, the demo, the studies", panel=SIMULATE, default="fish"),
+    "board": Entry("Check, arm and stop the board; its firmware, key and radio", CONNECT),
+    "board key": Entry("The key that a board accepts commands with, and who has it", was="key"),
+    "board imu": Entry("The IMU: its state, its settings, raw frames", default="status", was="imu"),
+    "session": Entry("A day at the tank: commission, trim, identify, resume", RUN),
+    "trial": Entry("Run a trial; list, pull and show the logs", RUN),
+    "experiment": Entry("The folder of a series: notes, progress, compare, export", ANALYSE),
+    "params": Entry("The board's parameters", SET_UP),
+    "camera": Entry("Speed from an overhead camera", SET_UP),
+    "reference": Entry("The desired speed per tail beat", REFERENCE),
+    "sim": Entry("A simulated fish, the demo, the studies", SIMULATE, default="fish"),
 }
 
 COMMANDS = {
-    "info": Entry("Print what is connected and its state", "board:info", CONNECT),
-    "board check": Entry("Check everything from the port to the battery", "board:check"),
-    "board arm": Entry("Get ready for a trial; the tail stays off", "board:arm"),
-    "board disarm": Entry("Back to idle; a running trial is aborted", "board:disarm"),
-    "board clear": Entry("Leave a stop, after an abort or a fault", "board:clear"),
-    "board watch": Entry("Print the board's messages as JSON lines", "board:watch"),
-    "board crash": Entry("Print how the firmware last crashed", "board:crash"),
-    "board flash": Entry("Write new firmware; the board's data is restored", "board:flash"),
-    "board bluetooth": Entry("Bring an HC-05 or HC-06 to 115200 baud", "board:bluetooth_setup"),
-    "board key set": Entry("Give the board a new key", "key:set_"),
-    "board key status": Entry("Print which key the board and this computer have", "key:status"),
-    "board key list": Entry("Print the keys on this computer", "key:list_"),
-    "board key erase": Entry("Delete the key on the board and on this computer", "key:erase"),
-    "board key export": Entry("Write a key into a file, for another computer", "key:export"),
-    "board key import": Entry("Read a key from another computer", "key:import_"),
-    "board key delete": Entry("Delete a key on this computer", "key:delete"),
-    "board imu status": Entry("Print the IMU's state, and what to do", "imu:status"),
-    "board imu save": Entry("Write the IMU's settings into its own flash", "imu:save"),
-    "board imu record": Entry("Write the IMU's raw frames to a CSV file", "imu:record"),
-    "board imu decode": Entry("Decode a VN-100's recording, or listen to one", "imu:decode_imu"),
+    "info": Entry("Print what is connected and its state", CONNECT, module="board"),
+    "board check": Entry("Check everything from the port to the battery", was="doctor"),
+    "board arm": Entry("Get ready for a trial; the tail stays off", was="arm"),
+    "board disarm": Entry("Back to idle; a running trial is aborted", was="disarm"),
+    "board clear": Entry("Leave a stop, after an abort or a fault", was="clear"),
+    "board watch": Entry("Print the board's messages as JSON lines", was="watch"),
+    "board crash": Entry("Print how the firmware last crashed", was="crash"),
+    "board flash": Entry("Write new firmware; the board's data is restored", was="flash"),
+    "board bluetooth": Entry("Bring an HC-05 or HC-06 to 115200 baud", was="bluetooth setup"),
+    "board key set": Entry("Give the board a new key"),
+    "board key status": Entry("Print which key the board and this computer have"),
+    "board key list": Entry("Print the keys on this computer"),
+    "board key erase": Entry("Delete the key on the board and on this computer"),
+    "board key export": Entry("Write a key into a file, for another computer"),
+    "board key import": Entry("Read a key from another computer"),
+    "board key delete": Entry("Delete a key on this computer", was="key forget"),
+    "board imu status": Entry("Print the IMU's state, and what to do"),
+    "board imu save": Entry("Write the IMU's settings into its own flash"),
+    "board imu record": Entry("Write the IMU's raw frames to a CSV file"),
+    "board imu decode": Entry("Decode a VN-100's recording, or listen to one", was="vn100"),
     "session commission": Entry(
-        "Check, trim, identify and design for a new fish",
-        "session:commission", SET_UP,
+        "Check, trim, identify and design for a new fish", SET_UP, was="session first"
     ),
-    "session trim": Entry("Find the servo's centre in two short trials", "session:trim", SET_UP),
+    "session trim": Entry("Find the servo's centre in two short trials", SET_UP, was="trim"),
     "session identify": Entry(
-        "Measure the fish: drag, speed over amplitude, delay", "identify:identify", SET_UP
+        "Measure the fish: drag, speed over amplitude, delay",
+        SET_UP,
+        module="identify",
+        was="identify",
+        renamed=_LOGBOOK,
     ),
     "session design": Entry(
-        "Choose gain, lead and filter for an identified fish", "design:design", SET_UP
+        "Choose gain, lead and filter for an identified fish", SET_UP, was="design"
     ),
-    "session status": Entry("Print the experiment, best trial and limits", "session:status", RUN),
-    "session resume": Entry("Restore the board after a battery swap", "session:resume", RUN),
+    "session status": Entry("Print the experiment, best trial and limits", RUN),
+    "session resume": Entry("Restore the board after a battery swap", RUN),
     "session web": Entry(
-        "Run the session on a web page", "web:web", RUN,
+        "Run the session on a web page",
+        RUN,
+        module="web",
+        was="ui",
         needs=("nicegui", "web", "The page needs NiceGUI"),
     ),
-    "trial run": Entry("Run the next trial", "trial_run:run"),
-    "trial list": Entry("Print the trials whose logs are on the board", "trial:list_"),
-    "trial pull": Entry("Copy logs from the board", "trial:pull"),
-    "trial show": Entry("Print a trial", "trial:show"),
-    "trial speeds": Entry("Upload speeds measured after the trial", "trial:speeds"),
-    "trial discard": Entry("Drop the pending trial without learning", "trial:discard"),
-    "learn": Entry("Let the board learn from the pending trial", "learn:learn", RUN),
-    "stop": Entry("Stop the tail now", "trial:stop", RUN),
-    "experiment new": Entry("Make the folder of a new series", "experiment:new"),
-    "experiment use": Entry("Continue an experiment", "experiment:use"),
-    "experiment set": Entry("Set conditions that became known later", "experiment:set_"),
-    "experiment note": Entry("Add a line to the notes", "experiment:note"),
-    "experiment list": Entry("Print the experiments below a folder", "experiment:list_"),
-    "experiment show": Entry("Print conditions, trials and notes", "experiment:show"),
-    "experiment progress": Entry("Assess the convergence: go on or stop", "report:progress"),
-    "experiment compare": Entry("Compare two experiments", "experiment:compare"),
-    "experiment replay": Entry("Compute everything again, compare the bits", "experiment:replay"),
-    "experiment export": Entry("Write CSV, MATLAB and Parquet files", "experiment:export"),
-    "report": Entry("Write a page, figures and tables of an experiment", "report:report", ANALYSE),
-    "params get": Entry("Print one parameter", "params:get_"),
-    "params set": Entry(
-        "Change one parameter", "params:set_",
-        settings={"ignore_unknown_options": True},  # values may be negative
+    "trial run": Entry("Run the next trial", module="trial_run"),
+    "trial list": Entry("Print the trials whose logs are on the board"),
+    "trial pull": Entry("Copy logs from the board"),
+    "trial show": Entry("Print a trial"),
+    "trial speeds": Entry("Upload speeds measured after the trial", was="speed upload"),
+    "trial discard": Entry("Drop the pending trial without learning"),
+    "learn": Entry("Let the board learn from the pending trial", RUN, module="learn"),
+    "stop": Entry("Stop the tail now", RUN, module="trial", was="trial abort"),
+    "experiment new": Entry("Make the folder of a new series"),
+    "experiment use": Entry("Continue an experiment"),
+    "experiment set": Entry("Set conditions that became known later"),
+    "experiment note": Entry("Add a line to the notes"),
+    "experiment list": Entry("Print the experiments below a folder"),
+    "experiment show": Entry("Print conditions, trials and notes"),
+    "experiment progress": Entry(
+        "Assess the convergence: go on or stop", module="report", was="progress", renamed=_LOGBOOK
     ),
-    "params list": Entry("Print all parameters", "params:list_"),
-    "params preset": Entry("Set all parameters of a named set", "params:preset"),
-    "params save": Entry("Keep the present values through a power cycle", "params:save"),
-    "params load": Entry("Bring the saved values back", "params:load"),
-    "params reset": Entry("Set every parameter to its default", "params:reset"),
-    "camera print": Entry("Write a sheet to print: markers, ruler", "camera_calibrate:print_"),
-    "camera calibrate": Entry("Calibrate a camera over a tank", "camera_calibrate:calibrate"),
-    "camera track": Entry("Find the fish in a film, and its speed", "camera:track"),
-    "camera render": Entry("Film a simulated trial", "camera:render"),
-    "reference upload": Entry("Check a reference and make it the board's", "reference:upload"),
-    "reference show": Entry("Print the board's reference", "reference:show"),
-    "reference check": Entry("Check a reference against board, tank and fish", "reference:check"),
-    "sim fish": Entry("Serve a simulated fish", "sim:fish"),
-    "sim board": Entry("Serve the flash image on an emulated board", "sim:board"),
-    "sim demo": Entry("Show a simulated fish that learns, with a report", "sim:demo"),
-    "sim montecarlo": Entry("Run a study with many simulated fish", "studies:montecarlo"),
-    "sim thesis": Entry("Recompute the thesis's examples and claims", "studies:thesis"),
-    "sim law": Entry("Apply the learning law once", "sim:law"),
-    "sim selftest": Entry("Run the firmware's unit tests on this computer", "sim:selftest"),
-}  # fmt: skip
+    "experiment compare": Entry("Compare two experiments"),
+    "experiment replay": Entry("Compute everything again, compare the bits"),
+    "experiment export": Entry("Write CSV, MATLAB and Parquet files"),
+    "report": Entry("Write a page, figures and tables of an experiment", ANALYSE, module="report"),
+    "params get": Entry("Print one parameter"),
+    "params set": Entry("Change one parameter", settings=_NEGATIVE_VALUES),
+    "params list": Entry("Print all parameters"),
+    "params preset": Entry("Set all parameters of a named set"),
+    "params save": Entry("Keep the present values through a power cycle"),
+    "params load": Entry("Bring the saved values back"),
+    "params reset": Entry("Set every parameter to its default"),
+    "camera print": Entry("Write a sheet to print: markers, ruler"),
+    "camera calibrate": Entry("Calibrate a camera over a tank"),
+    "camera track": Entry("Find the fish in a film, and its speed"),
+    "camera render": Entry("Film a simulated trial"),
+    "reference upload": Entry(
+        "Check a reference and make it the board's", renamed=("--like", "--warm-start")
+    ),
+    "reference show": Entry("Print the board's reference"),
+    "reference check": Entry("Check a reference against board, tank and fish"),
+    "sim fish": Entry("Serve a simulated fish"),
+    "sim board": Entry("Serve the flash image on an emulated board", was="vboard"),
+    "sim demo": Entry("Show a simulated fish that learns, with a report", was="demo"),
+    "sim montecarlo": Entry("Run a study with many simulated fish", module="studies", was="sweep"),
+    "sim thesis": Entry(
+        "Recompute the thesis's examples and claims", module="studies", was="thesis"
+    ),
+    "sim law": Entry("Apply the learning law once", was="law"),
+    "sim selftest": Entry("Run the firmware's unit tests on this computer", was="selftest"),
+}
 
 _OLD_NAMES = Entry("Old names")
-
-RENAMED = {  # hidden until 1.0; a group's name stands for all its commands
-    "arm": "board arm",
-    "bluetooth setup": "board bluetooth",
-    "clear": "board clear",
-    "crash": "board crash",
-    "demo": "sim demo",
-    "design": "session design",
-    "disarm": "board disarm",
-    "doctor": "board check",
-    "flash": "board flash",
-    "identify": "session identify",
-    "imu": "board imu",
-    "key forget": "board key delete",
-    "key": "board key",
-    "law": "sim law",
-    "progress": "experiment progress",
-    "selftest": "sim selftest",
-    "session first": "session commission",
-    "speed upload": "trial speeds",
-    "sweep": "sim montecarlo",
-    "thesis": "sim thesis",
-    "trial abort": "stop",
-    "trim": "session trim",
-    "ui": "session web",
-    "vboard": "sim board",
-    "vn100": "board imu decode",
-    "watch": "board watch",
-}
-RENAMED_OPTIONS = {  # by a command's new name
-    "experiment progress": {"--logbook": "--library"},
-    "reference upload": {"--like": "--warm-start"},
-    "session identify": {"--logbook": "--library"},
-}
+_OLD_GROUPS = {entry.was: entry for entry in GROUPS.values() if entry.was}
 
 
 def aliases() -> Iterator[tuple[str, str]]:
-    """(old path, new path) of each command that has an old name; a group's name stands for all its
-    commands."""
-    for old, new in RENAMED.items():
+    """(old path, new path) of each command that has an old name."""
+    for new, entry in (GROUPS | COMMANDS).items():
         for path in COMMANDS:
-            if path == new or path.startswith(f"{new} "):
-                yield old + path.removeprefix(new), path
+            if entry.was and f"{path} ".startswith(f"{new} "):
+                yield entry.was + path.removeprefix(new), path
 
 
 class Root(LazyGroup):
@@ -177,13 +155,11 @@ class Root(LazyGroup):
         here: Any = self
         for depth, word in enumerate(above, start=1):
             if word not in here.commands:
-                words = " ".join(above[:depth])
-                entry = GROUPS.get(RENAMED.get(words, words) if hidden else words, _OLD_NAMES)
+                entry = (GROUPS | _OLD_GROUPS).get(" ".join(above[:depth]), _OLD_NAMES)
                 here.add_command(LazyGroup.of(word, entry, hidden))
             here = here.commands[word]
         if name not in here.commands:
-            options = RENAMED_OPTIONS.get(path, {})
-            here.add_command(LazyCommand(name, COMMANDS[path], hidden, options))
+            here.add_command(LazyCommand(name, path, COMMANDS[path], hidden))
 
 
 app = typer.Typer(

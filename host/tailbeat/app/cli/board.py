@@ -15,7 +15,7 @@ import typer
 
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._options import Connect, ConnectedFish, connected
-from tailbeat.app.cli._terminal import Output, json_line, progress_bar, warn
+from tailbeat.app.cli._terminal import Output, json_line, lines_of, progress_bar, warn
 from tailbeat.board import bluetooth
 from tailbeat.board.bluetooth import SetupReport
 from tailbeat.board.diagnostics import examine
@@ -36,7 +36,7 @@ from tailbeat.link.messages import BoardInfo, BoardStatus, ImuInfo
 from tailbeat.link.serial import SerialTransport
 
 
-def bluetooth_setup(
+def bluetooth_(
     port: str = arg("The USB-serial adapter that the module is wired to."),
     name: str | None = opt("Name that laptops see, 1 to 20 characters."),
     pin: str | None = opt("PIN for pairing, four digits."),
@@ -58,13 +58,12 @@ def _bluetooth_text(report: SetupReport) -> str:
     head = f"{report.module}{firmware}, answered AT at {report.at_baud} baud"
     if not report.changed:
         return f"{head}: already at {report.now.baud} baud, nothing changed"
-    done = []
-    if "baud" in report.changed:
-        done.append(f"{report.found.baud} baud raised to {report.now.baud}")
-    if "name" in report.changed:
-        done.append(f"name {report.now.name}")
-    if "pin" in report.changed:
-        done.append(f"PIN {report.now.pin}")
+    words = {
+        "baud": f"{report.found.baud} baud raised to {report.now.baud}",
+        "name": f"name {report.now.name}",
+        "pin": f"PIN {report.now.pin}",
+    }
+    done = [word for what, word in words.items() if what in report.changed]
     last = "Power it off, release KEY, put it back into the fish, and pair it anew."
     return f"{head}: {', '.join(done)}. {last}"
 
@@ -83,7 +82,7 @@ def _info(fish: Fish) -> Output:
     document = plain(found) | {"imu": imu, "health": health, "visits": visits}
     text = _info_text(who, found.status, imu_line(imu), health)
     missing = never_corrected(visits)
-    return Output(document, text + (f"\nlearned    {missing}" if missing else ""))
+    return Output(document, lines_of(text, missing and f"learned    {missing}"))
 
 
 def _info_unauthenticated(fish: Fish) -> Output:
@@ -104,27 +103,22 @@ def imu_line(imu: ImuInfo) -> str:
 
 
 def _info_text(who: str, status: BoardStatus, imu: str, health: dict[str, int | str]) -> str:
-    lines = [
+    fault, best, pending = status.fault, status.best_max_abs_error_m_s, status.pending_trial
+    counted = ("imu_crc_failed", "link_bad_frames", "late_ticks", "store_failures")
+    bad = [f"{name} {health[name]}" for name in counted if health.get(name)]
+    start = health.get("reset_cause")
+    return lines_of(
         who,
         f"state      {status.state}, battery {status.battery_text}",
+        fault.number and f"stopped    {fault.meaning}. {fault.remedy}",
         f"reference  {_reference(status)}",
         f"iteration  {status.iteration} swims next, as trial {status.next_trial}",
         f"imu        {imu}",
-    ]
-    if status.fault.number:
-        lines.insert(2, f"stopped    {status.fault.meaning}. {status.fault.remedy}")
-    if status.best_max_abs_error_m_s is not None:
-        best = mm(status.best_max_abs_error_m_s)
-        lines.append(f"best       {best} mm/s at iteration {status.best_iteration}")
-    if status.pending_trial is not None:
-        lines.append(f"pending    trial {status.pending_trial}: learn from it or discard it")
-    if health.get("reset_cause") != "power":
-        lines.append(f"last start {health['reset_cause']}")
-    counted = ("imu_crc_failed", "link_bad_frames", "late_ticks", "store_failures")
-    bad = [f"{name} {health[name]}" for name in counted if health.get(name)]
-    if bad:
-        lines.append(f"counters   {', '.join(bad)}")
-    return "\n".join(lines)
+        best is not None and f"best       {mm(best)} mm/s at iteration {status.best_iteration}",
+        pending is not None and f"pending    trial {pending}: learn from it or discard it",
+        start != "power" and f"last start {start}",
+        bad and f"counters   {', '.join(bad)}",
+    )
 
 
 def _reference(status: BoardStatus) -> str:
@@ -250,13 +244,10 @@ def flash(
     if restore is not None:
         return _restore(restore, connect or port or None)
     plan = FlashPlan(image, port or None, tool.value, keep, backup_places(out), connect, adapter)
-    screen = _Screen()
-    try:
+    with contextlib.closing(_Screen()) as screen:
         report = write_image(
             plan, screen.show, tell=screen.tell, confirm=lambda text: yes or screen.ask(text)
         )
-    finally:
-        screen.clear()
     return Output(report, lambda: _flash_text(report))
 
 
@@ -273,19 +264,19 @@ class _Screen:
             self._show = self._bar.enter_context(progress_bar("flash"))
         self._show(fraction, text)
 
-    def clear(self) -> None:
+    def close(self) -> None:
         """Takes the bar off the screen."""
         self._bar.close()
         self._show = None
 
     def tell(self, line: str) -> None:
         """For the user to know or do."""
-        self.clear()
+        self.close()
         warn(line)
 
     def ask(self, question: str) -> bool:
         """No, unless somebody is there to say yes."""
-        self.clear()
+        self.close()
         return sys.stdin.isatty() and typer.confirm(f"tailbeat: {printable(question)}", err=True)
 
 
@@ -300,7 +291,7 @@ def _flash_text(report: FlashReport) -> str:
 
 def _with_notes(line: str, not_restored: Sequence[str], notes: Sequence[str]) -> str:
     missing = [f"not restored: {text}" for text in not_restored]
-    return "\n".join([line, *missing, *(f"note: {text}" for text in notes)])
+    return lines_of(line, missing, [f"note: {text}" for text in notes])
 
 
 def _restore(folder: Path, url: str | None) -> Output:

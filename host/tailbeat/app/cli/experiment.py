@@ -8,22 +8,23 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
-from tailbeat.app.cli._experiment import folder_or_current, warn_of_problems
 from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._options import EXPERIMENTS, Connect, ReferenceName, Root, connected
-from tailbeat.app.cli._terminal import Output, numbers, pick, table, warn
+from tailbeat.app.cli._options import (
+    EXPERIMENTS,
+    Connect,
+    ConnectedFish,
+    ReferenceName,
+    Root,
+    current_of,
+    warn_of_problems,
+)
+from tailbeat.app.cli._terminal import Output, lines_of, numbers, pick, table, warn
 from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
 from tailbeat.experiment.analysis import analyse, parse_conditions, set_conditions
 from tailbeat.experiment.compare import Comparison, other_differences
 from tailbeat.experiment.compare import compare as compare_sides
-from tailbeat.experiment.current import (
-    made_before,
-    make,
-    named_reference,
-    own_reference,
-    require_same,
-)
+from tailbeat.experiment.current import made_before, make, own_reference, require_same
 from tailbeat.experiment.current import use as make_current
 from tailbeat.experiment.export import export as export_files
 from tailbeat.experiment.export import missing_formats
@@ -34,9 +35,10 @@ from tailbeat.report.replay import Replay
 from tailbeat.report.replay import replay as replay_all
 from tailbeat.report.style import freedom_words
 
-Folder = Annotated[Path, arg("The experiment's folder.", "FOLDER")]
+Folder = Annotated[Experiment, arg("The experiment's folder.", "FOLDER", by=Experiment.open)]
 FolderOrCurrent = Annotated[
-    Path | None, arg("Default: the one the connected fish is in.", "FOLDER")
+    Experiment | None,
+    arg("Default: the one the connected fish is in.", "FOLDER", by=Experiment.open),
 ]
 
 
@@ -60,13 +62,13 @@ class ConditionOptions:
 
 
 def new(
+    fish: ConnectedFish,
     *,
     reference: ReferenceName = None,
     fish_name: str | None = opt("Name of the fish.", name="--fish"),
     given: ConditionOptions,
     another: bool = opt("Also when the last one has no trial."),
     root: Root = EXPERIMENTS,
-    connect: Connect = None,
 ) -> Output:
     """Make the folder of a new series, with the settings of the connected board.
 
@@ -75,43 +77,41 @@ def new(
 
     Example: tailbeat experiment new --reference thesis --fish carangi --water-temp 21.5
     """
-    named = None if reference is None else named_reference(reference)
     conditions, words = given.numbers(), given.words()
-    with connected(connect) as fish:
-        profile = named or own_reference(fish)
-        settings = {"conditions": conditions, **words, **({"fish": fish_name} if fish_name else {})}
-        made = None if another else made_before(fish, root, profile, settings)
-        if made is None:
-            made = make(fish, root, profile, fish_name, conditions, words)
-        same = fish.status().reference_crc == profile.crc
+    profile = reference or own_reference(fish)
+    settings = {"conditions": conditions, **words, **({"fish": fish_name} if fish_name else {})}
+    made = None if another else made_before(fish, root, profile, settings)
+    if made is None:
+        made = make(fish, root, profile, fish_name, conditions, words)
+    same = fish.status().reference_crc == profile.crc
     if not same:
-        warn(f"the board has another reference: tailbeat reference upload {reference}")
+        file = made.folder / "reference.csv"
+        warn(f"the board has another reference: tailbeat reference upload {file}")
     return Output({"folder": made.folder, "board_has_reference": same}, str(made.folder))
 
 
-def use(folder: Folder, connect: Connect = None) -> Output:
+def use(fish: ConnectedFish, experiment: Folder) -> Output:
     """Continue an experiment: 'trial run' of the connected fish adds to it.
 
     Example: tailbeat experiment use experiments/2026-05-04_carangi_thesis_p4_01
     """
-    experiment = Experiment.open(folder)
-    with connected(connect) as fish:
-        require_same(fish, experiment)
-        make_current(fish, experiment)
-        remembered = library_of(fish) is not None
-        experiment.journal.add("opened", unique_id=fish.unique_id())
+    require_same(fish, experiment)
+    make_current(fish, experiment)
+    remembered = library_of(fish) is not None
+    experiment.journal.add("opened", unique_id=fish.unique_id())
     if not remembered:
         warn(
             "a simulated fish in this process is new every time. Name the folder in every"
             " command, or give it a seed (sim?seed=1) and set TAILBEAT_LOGBOOK."
         )
     warn_of_problems(experiment)
-    return Output({"folder": folder, "remembered": remembered}, f"the fish is in {experiment.name}")
+    document = {"folder": experiment.folder, "remembered": remembered}
+    return Output(document, f"the fish is in {experiment.name}")
 
 
 def set_(
     *,
-    folder: FolderOrCurrent = None,
+    experiment: FolderOrCurrent = None,
     given: ConditionOptions,
     connect: Connect = None,
 ) -> Output:
@@ -119,7 +119,7 @@ def set_(
 
     Example: tailbeat experiment set FOLDER --water-temp 22 --condition salinity_psu=0.3
     """
-    experiment = folder_or_current(folder, connect)
+    experiment = experiment or current_of(connect)
     set_conditions(experiment, given.numbers(), given.words())
     write_redo(experiment)
     now = experiment.settings()
@@ -149,7 +149,7 @@ def list_(root: Root = EXPERIMENTS) -> Output:
 
 
 def show(
-    folder: FolderOrCurrent = None,
+    experiment: FolderOrCurrent = None,
     redo: bool = opt("Print how to do it again, and write redo.md."),
     connect: Connect = None,
 ) -> Output:
@@ -157,7 +157,7 @@ def show(
 
     Example: tailbeat experiment show experiments/2026-05-04_carangi_thesis_p4_01
     """
-    experiment = folder_or_current(folder, connect)
+    experiment = experiment or current_of(connect)
     status = int(bool(experiment.raw_problems()))
     if redo:
         text = redo_text(experiment)
@@ -194,21 +194,20 @@ def _show_text(document: dict[str, Any]) -> str:
     settings = document["settings"]
     simulated = ", simulated" if settings.get("simulated") else ""
     head = f"{document['name']}: {settings.get('fish')}, reference {settings.get('reference')}"
-    lines = [f"{head}, law {settings.get('law')}{simulated}"]
-    lines += [f"{key}: {settings[key]}" for key in ("configuration", "operator") if key in settings]
-    lines += [f"{key}: {value}" for key, value in document["conditions"].items()]
     header = ["trial", "iteration", "end", "max|e| mm/s", "RMS", "yaw deg", "V", "decision"]
     rows = [_trial_cells(row) for row in document["trials"]]
-    lines.append(table(header, rows, left=(2, 7)) if rows else "no trials yet")
-    if document.get("floor_m_s") is not None:
-        lines.append(f"error bound {mm(document['floor_m_s'])} mm/s ({document['floor_by']})")
-    if document.get("noise_m_s") is not None:
-        freedom = freedom_words(document["noise_freedom"])
-        scatter = f"{mm(document['noise_m_s'])} mm/s (standard deviation, {freedom})"
-        lines.append(f"repeats scatter by {scatter}")
-    lines += [f"problem: {line}" for line in document["problems"]]
-    notes = document["notes"].partition("\n")[2].strip()
-    return "\n".join([*lines, *([notes] if notes else [])])
+    bound, noise = document.get("floor_m_s"), document.get("noise_m_s")
+    freedom = freedom_words(document["noise_freedom"]) if noise is not None else ""
+    return lines_of(
+        f"{head}, law {settings.get('law')}{simulated}",
+        [f"{key}: {settings[key]}" for key in ("configuration", "operator") if key in settings],
+        [f"{key}: {value}" for key, value in document["conditions"].items()],
+        table(header, rows, left=(2, 7)) if rows else "no trials yet",
+        bound is not None and f"error bound {mm(bound)} mm/s ({document['floor_by']})",
+        freedom and f"repeats scatter by {mm(noise)} mm/s (standard deviation, {freedom})",
+        [f"problem: {line}" for line in document["problems"]],
+        document["notes"].partition("\n")[2].strip(),
+    )
 
 
 def _trial_cells(row: dict[str, Any]) -> list[str]:
@@ -245,15 +244,15 @@ def note(
         raise InputError("the note is empty.", "Say what is to be remembered.")
     if second is None and Path(first).is_dir():
         raise InputError(f"what is to be noted in {first}?", 'Write it behind: note FOLDER "TEXT"')
-    experiment = folder_or_current(None if second is None else Path(first), connect)
+    experiment = current_of(connect) if second is None else Experiment.open(Path(first))
     experiment.note(text)
     write_redo(experiment)
     return Output({"folder": experiment.folder, "notes": experiment.notes()}, "noted")
 
 
 def compare(
-    a: Path = arg("An experiment's folder.", "A"),
-    b: Path = arg("Another one, of the same reference.", "B"),
+    a: Experiment = arg("An experiment's folder.", "A", by=Experiment.open),
+    b: Experiment = arg("Another one, of the same reference.", "B", by=Experiment.open),
     what: str = opt("Which error.", "max|rms", default="max"),
     iterations: str | None = opt("Default: repeats of the best input.", "4,5,6"),
 ) -> Output:
@@ -261,34 +260,31 @@ def compare(
 
     Example: tailbeat experiment compare experiments/A experiments/B --iterations 4,5,6
     """
-    experiments = [Experiment.open(folder) for folder in (a, b)]
-    if a.resolve() == b.resolve():
-        raise InputError(f"{a} and {b} are the same experiment.", "Name two.")
+    if a.folder.resolve() == b.folder.resolve():
+        raise InputError(f"{a.folder} and {b.folder} are the same experiment.", "Name two.")
     chosen = numbers(iterations, "--iterations", int) if iterations else None
-    sides = [analyse(experiment) for experiment in experiments]
-    found = compare_sides(sides[0], sides[1], what, chosen)
-    others = other_differences(experiments[0], experiments[1])
-    document = {**vars(found), "also_different": others}
-    for experiment in experiments:
-        warn_of_problems(experiment)
+    sides = analyse(a), analyse(b)
+    found = compare_sides(*sides, what, chosen)
+    others = other_differences(a, b)
+    warn_of_problems(a)
+    warn_of_problems(b)
     simulated = any(side.simulated for side in sides)
+    document = {**vars(found), "also_different": others}
     return Output(document, lambda: _compared_text(found, others, simulated))
 
 
 def _compared_text(found: Comparison, others: list[str], simulated: bool) -> str:
     """Two lines or three."""
     effect = f"effect g = {found.g:+.2f} (95 % interval {found.g_low:+.2f} to {found.g_high:+.2f})"
-    need = "more than 1000" if found.repeats is None else str(found.repeats)
-    lines = [
+    need = "more than 1000" if found.repeats is None else found.repeats
+    return lines_of(
         found.words + (", simulated" if simulated else ""),
         f"{effect}, p = {found.p:.2g}; trials on each side to see such an effect: {need}",
-    ]
-    if others:
-        lines.append(f"they differ in: {'; '.join(others)}")
-    return "\n".join(lines)
+        others and f"they differ in: {'; '.join(others)}",
+    )
 
 
-def replay(folder: Folder) -> Output:
+def replay(experiment: Folder) -> Output:
     """Compute everything again from the raw files, and compare each bit.
 
     Sums of the raw files, speeds and learning by the board's own code, then the analysis and the
@@ -296,7 +292,6 @@ def replay(folder: Folder) -> Output:
 
     Example: tailbeat experiment replay experiments/2026-05-04_carangi_thesis_p4_01
     """
-    experiment = Experiment.open(folder)
     with TemporaryDirectory() as scratch:
         found = replay_all(experiment, Path(scratch))
     document = {**vars(found), "identical": found.identical}
@@ -314,16 +309,17 @@ def _replay_text(found: Replay) -> str:
         f"learning from {len(found.learned)}",
         f"{len(found.figures)} derived files",
     ]
-    lines = [f"{head}: {', '.join(counts)} came out the same"]
-    lines += [f"different: {line}" for line in found.different]
-    lines += [f"not computed: trial {number}: {why}" for number, why in found.not_recomputed]
-    lines += [f"not learned again: trial {number}: {why}" for number, why in found.not_learned]
-    lines += [f"not compared: {name}: {why}" for name, why in found.not_drawn]
-    return "\n".join(lines)
+    return lines_of(
+        f"{head}: {', '.join(counts)} came out the same",
+        [f"different: {line}" for line in found.different],
+        [f"not computed: trial {number}: {why}" for number, why in found.not_recomputed],
+        [f"not learned again: trial {number}: {why}" for number, why in found.not_learned],
+        [f"not compared: {name}: {why}" for name, why in found.not_drawn],
+    )
 
 
 def export(
-    folder: Folder,
+    experiment: Folder,
     formats: list[str] | None = opt(
         "Default: all; repeatable.", "csv|mat|parquet", name="--format"
     ),
@@ -332,7 +328,6 @@ def export(
 
     Example: tailbeat experiment export FOLDER --format csv
     """
-    experiment = Experiment.open(folder)
     files = export_files(experiment, formats or [])
     if not formats and (line := missing_formats()):
         warn(line)

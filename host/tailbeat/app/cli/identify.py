@@ -16,7 +16,7 @@ from tailbeat.app.cli._camera import CameraOptions, LiveCamera, TankCameraOption
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._operator import TerminalOperator, terminal
 from tailbeat.app.cli._options import Connect, Library, connected
-from tailbeat.app.cli._terminal import Display, Output, echo, json_asked, progress_bar, table, warn
+from tailbeat.app.cli._terminal import Output, echo, json_asked, lines_of, progress_bar, table, warn
 from tailbeat.board.fish import Fish, board_reference
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.csv import read_speeds
@@ -73,8 +73,8 @@ class TableFish:
 
     def known(self) -> ThesisFish:
         """For the thesis's equations."""
-        area = ThesisFish.tail_area_m2 if self.tail_area_m2 is None else self.tail_area_m2
-        return ThesisFish(self.mass_kg, self.length_m, self.density_kg_m3, area)
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        return ThesisFish(**given)
 
 
 @dataclass(frozen=True)
@@ -146,15 +146,14 @@ def _table_text(found: SpeedTable, out: Path | None) -> str:
     ]
     header = ["amplitude rad", "speed mm/s", "line", "miss", "thesis's model", "miss"]
     line = found.line
-    lines = [
+    return lines_of(
         f"alpha {found.alpha_kg_m:.2f} kg/m; speed = {line.slope_m_s_rad:.3f} m/s/rad x "
         f"(amplitude - {line.dead_zone_rad:.3f} rad), pieces {found.gain_min_m_s_rad:.3f} to "
         f"{found.gain_max_m_s_rad:.3f}",
         f"note: {found.note}",
         table(header, rows),
-        *([f"saved in {out}"] if out else []),
-    ]
-    return "\n".join(lines)
+        out and [f"saved in {out}"],
+    )
 
 
 def _from_trials(files: list[Path], experiment: Path | None, write: ResultFiles) -> Output:
@@ -204,12 +203,10 @@ def _found(
     with terminal(single_keys=not by_hand) as (display, keys):
         here = display.moves and sys.stdin.isatty() and not asked.alone
         operator = TerminalOperator(display, keys)
+        check = partial(_preflight, fish, asked.rest, live.camera, operator) if here else None
         # a bar would overwrite the questions
         with progress_bar("identify", quiet=wait or by_hand or here) as show:
-            runs = RunView(limits, operator, show, wait, keys is not None)
-            if here:
-                runs.display = display
-                runs.check = partial(_preflight, fish, asked.rest, live.camera, operator)
+            runs = RunView(limits, operator, show, wait, check)
             attendant = IdentificationHooks(
                 runs.before,
                 None if asked.alone else ask_for_speeds,
@@ -225,16 +222,14 @@ def _found(
 @dataclass
 class RunView:
     """What is printed of the runs, and asked before each. ``wait``: somebody puts the fish at rest
-    first. ``display``: of a terminal with somebody, who stops a run by a key if there are
-    ``keys``. ``check``: what goes before a run there."""
+    first. ``check``: what goes before a run at a terminal with somebody, who stops it by a key if
+    the operator has keys."""
 
     limits: Limits
     operator: TerminalOperator
     bar: Callable[[float, str], None]
     wait: bool = False
-    keys: bool = False
-    display: Display | None = None
-    check: Callable[[], None] = lambda: None
+    check: Callable[[], None] | None = None
     run: IdentificationRun | None = None
 
     def before(self, run: IdentificationRun) -> None:
@@ -242,14 +237,15 @@ class RunView:
         self.run = run
         if not json_asked.get():
             echo(_run_text(run, self.limits), err=True)
-        if self.wait and not self.keys:
+        if self.wait and self.operator.keys is None:
             typer.prompt(
                 "Put the fish at rest at its wall, then press Enter (Ctrl-C ends it)",
                 default="", show_default=False, prompt_suffix=" ", err=True,
             )  # fmt: skip
         elif self.wait and not self.operator.confirm("Put the fish at rest at its wall. Ready?"):
             raise GivenUp("not identified: the answer was no.", "The board has back what it held.")
-        self.check()
+        if self.check is not None:
+            self.check()
 
     def follow(self, event: Event) -> None:
         """Shows what happens."""
@@ -259,8 +255,9 @@ class RunView:
             number, beats = self.run.number, (event.beat + 1) / self.run.beats
             text = f"run {number}, beat {event.beat + 1}"
             self.bar(min(1.0, (number - 1 + beats) / (len(FRACTIONS) + 1)), text)
-            if self.display is not None:
-                self.display.show(text + ("; any key stops it" if self.keys else ""))
+            if self.check is not None:
+                stop = "" if self.operator.keys is None else "; any key stops it"
+                self.operator.display.show(text + stop)
 
 
 def ask_for_speeds(trial: int, beats: int, beat_s: float) -> ArrayLike:
@@ -324,15 +321,12 @@ def _text(
     ]
     volts = f"; battery {account.battery_text}" if account.battery_v else ""
     drag = f"; alpha {known.alpha_kg_m:.1f} kg/m" if known.alpha_kg_m else ""
-    lines = [
+    return lines_of(
         f"identified from {len(account.trials)} swims: the model misses {account.beats} beats by "
         f"{mm(account.rms_m_s)} mm/s RMS{volts}{drag}",
         table(["", "", "", "95 % interval"], rows, left=(0, 2, 3)),
-        *(f"warning: {text}" for text in account.warnings),
-    ]
-    if held:
-        lines.append(f"the board has it, for good: {', '.join(held)}")
-    lines += [f"saved in {path}" for path in saved]
-    if bare:
-        lines.append("the board has no reference yet: tailbeat reference upload thesis")
-    return "\n".join(lines)
+        [f"warning: {text}" for text in account.warnings],
+        held and f"the board has it, for good: {', '.join(held)}",
+        [f"saved in {path}" for path in saved],
+        bare and "the board has no reference yet: tailbeat reference upload thesis",
+    )

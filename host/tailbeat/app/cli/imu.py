@@ -6,8 +6,10 @@ import contextlib
 import csv
 import math
 import sys
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from tailbeat.app.cli._terminal import (
     Output,
     json_asked,
     json_line,
+    lines_of,
     print_line,
     progress_bar,
 )
@@ -28,8 +31,8 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, LinkLostError, TransferError
 from tailbeat.core.files import plain
 from tailbeat.link.messages import ImuFrame, ImuInfo, imu_health
-from tailbeat.sensors.vn100 import decode
 from tailbeat.sensors.vn100.decode import AsciiLine, Message, Reader
+from tailbeat.sensors.vn100.decode import decode as decode_chunks
 from tailbeat.sensors.vn100.live import (
     DEFAULT_BAUD,
     Arrival,
@@ -67,23 +70,21 @@ def _status_text(info: ImuInfo, health: dict[str, Any], wrong: list[tuple[str, s
     line = imu_line(info)
     if info.problem.well and not wrong:
         return f"{line}; {health['imu_frames']} frames"
-    lines = [line]
-    if info.error:
-        lines.append(f"the IMU said: {info.error}")
-    if not info.problem.well and info.model:
-        firmware = f", firmware {info.firmware}" if info.firmware else ""
-        lines.append(f"it is a {info.model}{firmware}; the board is {info.state}")
-    if wrong:
-        lines.append(f"in the last seconds: {', '.join(words for words, _ in wrong)}")
-    lines += [f"to do: {remedy}" for _, remedy in wrong if remedy]
+    firmware = f", firmware {info.firmware}" if info.firmware else ""
+    known = not info.problem.well and info.model
     counters = [
         f"{key.removeprefix('imu_')} {count}"
         for key, count in health.items()
         if count and key not in ("imu_health", "imu_problem")
     ]
-    if counters:
-        lines.append(f"since boot: {', '.join(counters)}")
-    return "\n".join(lines)
+    return lines_of(
+        line,
+        info.error and f"the IMU said: {info.error}",
+        known and f"it is a {info.model}{firmware}; the board is {info.state}",
+        wrong and f"in the last seconds: {', '.join(words for words, _ in wrong)}",
+        [f"to do: {remedy}" for _, remedy in wrong if remedy],
+        counters and f"since boot: {', '.join(counters)}",
+    )
 
 
 def save(fish: ConnectedFish) -> Output:
@@ -104,7 +105,7 @@ def record(
 
     Example: tailbeat board imu record rest.csv --seconds 30
     """
-    tally, rows = _Tally(), None
+    rows, sequences, begin_s, duration_s = None, array("Q"), 0.0, 0.0
     frames = fish.imu_frames(math.inf if seconds is None else seconds)
     with (
         contextlib.suppress(KeyboardInterrupt),
@@ -115,38 +116,19 @@ def record(
         for frame in frames:
             if rows is None:  # a file that is there is not touched before the first one comes
                 file = stack.enter_context(out.open("w", newline=""))
-                rows = csv.writer(file, lineterminator="\n")
+                rows, begin_s = csv.writer(file, lineterminator="\n"), frame.time_s
                 rows.writerow(_COLUMNS)
             rows.writerow(_row(frame))
-            tally.add(frame)
-            show(tally.duration_s / (seconds or math.inf), f"{tally.frames} frames")
-    if not tally.frames:
+            sequences.append(frame.sequence)
+            duration_s = frame.time_s - begin_s
+            show(duration_s / (seconds or math.inf), f"{len(sequences)} frames")
+    if not sequences:
         raise _silent(fish)
-    missing, duration_s = tally.missing, tally.duration_s
-    counts = {"frames": tally.frames, "missing_frames": missing, "duration_s": duration_s}
-    text = f"{out}: {tally.frames} frames, {duration_s:.2f} s, {missing} missing"
+    # a number below the one before is a board that has restarted
+    missing = sum(max(after - before - 1, 0) for before, after in pairwise(sequences))
+    counts = {"frames": len(sequences), "missing_frames": missing, "duration_s": duration_s}
+    text = f"{out}: {len(sequences)} frames, {duration_s:.2f} s, {missing} missing"
     return Output({"file": out} | counts, text)
-
-
-@dataclass
-class _Tally:
-    """Counts frames and the numbers missing between them."""
-
-    frames: int = 0
-    missing: int = 0
-    duration_s: float = 0.0
-    _first_s: float = 0.0
-    _next: int = 0
-
-    def add(self, frame: ImuFrame) -> None:
-        """One more; a number below the last one's is a board that has restarted."""
-        if not self.frames:
-            self._first_s = frame.time_s
-        elif frame.sequence > self._next:
-            self.missing += frame.sequence - self._next
-        self.frames += 1
-        self._next = frame.sequence + 1
-        self.duration_s = frame.time_s - self._first_s
 
 
 def _row(frame: ImuFrame) -> list[str]:
@@ -184,7 +166,7 @@ class ListenOptions:
     seconds: float | None = opt("Listen so long; default: until Ctrl-C.", min=0.0)
 
 
-def decode_imu(
+def decode(
     *,
     source: str = arg(
         "A recording ('-' = standard input), a serial port, or tcp:HOST:PORT.",
@@ -212,7 +194,7 @@ def decode_imu(
 def _recording(name: str, csv: Path | None) -> Output:
     reader, summary = Reader(), StreamSummary()
     with _csv_files(csv, live=False) as files:
-        for message in decode(_chunks(name), reader):
+        for message in decode_chunks(_chunks(name), reader):
             summary.add(message)
             if files is not None:
                 files.add(message)
@@ -284,9 +266,7 @@ def _setup_text(name: str, setup: Setup) -> str:
 
 
 def _follow(live: LiveSensor, csv: Path | None, seconds: float | None) -> None:
-    lost: LinkLostError | None = None
-    summary = StreamSummary()
-    begin_s = live.source.now_s()
+    begin_s, summary, lost = live.source.now_s(), StreamSummary(), None
     with _csv_files(csv, live=True) as files, Display() as display:
         line = _LiveLine(live, summary, display, begin_s)
 
@@ -298,15 +278,14 @@ def _follow(live: LiveSensor, csv: Path | None, seconds: float | None) -> None:
             if json_asked.get():
                 json_line(_message_document(message, time_s))
 
-        try:
-            for batch in live.batches(seconds):
-                for arrival in batch:
-                    take(arrival)
-                line.show()
-        except KeyboardInterrupt:
-            pass  # the usual end
-        except LinkLostError as error:
-            lost = error
+        with contextlib.suppress(KeyboardInterrupt):  # the usual end
+            try:
+                for batch in live.batches(seconds):
+                    for arrival in batch:
+                        take(arrival)
+                    line.show()
+            except LinkLostError as error:
+                lost = error
         for arrival in live.end():
             take(arrival)
     document = _summary(live.source.name, summary, live.reader, files)
@@ -353,23 +332,25 @@ class _LiveLine:
 
 def _summary_text(document: dict[str, Any]) -> str:
     d = document
-    lines = [
+    took_s = d["duration_s"]
+    return lines_of(
         f"{d['source']}: {d['binary_valid']} binary frames, {d['ascii_valid']} ASCII lines;"
         f" {d['skipped_bytes']} of {d['bytes']} bytes ({d['skipped_share']:.1%}) in no message,"
-        f" {d['crc_failed'] + d['checksum_failed']} messages damaged"
-    ]
-    for stream in d["streams"]:
-        rate = f", {stream['rate_hz']:.6g} Hz" if stream["rate_hz"] else ""
-        lost = f", {stream['lost_frames']} missing" if stream["lost_frames"] else ""
-        size = f"{stream['frame_bytes']} bytes"
-        lines.append(f"  {stream['kind']}: {stream['frames']} frames of {size}{rate}{lost}")
-    lines += [f"  ${kind}: {count} lines" for kind, count in d["ascii_types"].items()]
-    if d["duration_s"] is not None:
-        lines.append(f"  {d['duration_s']:.3f} s by the sensor's clock")
-    lines += [f"  {_dropout_text(gap)}" for gap in _longest(d["dropouts"])]
-    lines += [f"hint: {hint}" for hint in d["hints"]]
-    lines += [f"written: {path}" for path in d["csv_files"]]
-    return "\n".join(lines)
+        f" {d['crc_failed'] + d['checksum_failed']} messages damaged",
+        map(_stream_text, d["streams"]),
+        [f"  ${kind}: {count} lines" for kind, count in d["ascii_types"].items()],
+        took_s is not None and f"  {took_s:.3f} s by the sensor's clock",
+        map(_dropout_text, _longest(d["dropouts"])),
+        [f"hint: {hint}" for hint in d["hints"]],
+        [f"written: {path}" for path in d["csv_files"]],
+    )
+
+
+def _stream_text(stream: dict[str, Any]) -> str:
+    rate = f", {stream['rate_hz']:.6g} Hz" if stream["rate_hz"] else ""
+    lost = f", {stream['lost_frames']} missing" if stream["lost_frames"] else ""
+    frames = f"{stream['frames']} frames of {stream['frame_bytes']} bytes"
+    return f"  {stream['kind']}: {frames}{rate}{lost}"
 
 
 def _longest(dropouts: list[Any]) -> list[Any]:
@@ -379,6 +360,6 @@ def _longest(dropouts: list[Any]) -> list[Any]:
 
 def _dropout_text(gap: Any) -> str:
     return (
-        f"{gap.frames} frames missing at {gap.at_s:.3f} s, before byte {gap.at_byte}"
+        f"  {gap.frames} frames missing at {gap.at_s:.3f} s, before byte {gap.at_byte}"
         f" ({gap.length_s * 1e3:.1f} ms without a frame)"
     )

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._options import FishWithoutNotice
-from tailbeat.app.cli._terminal import Output, warn
+from tailbeat.app.cli._terminal import Output, lines_of, warn
 from tailbeat.board.provision import KeyStatus, erase_key, key_status, set_key
 from tailbeat.core.errors import InputError, reason
-from tailbeat.link.keystore import KeyStore, StoredKey, decode_key, encode_key, write_private
+from tailbeat.link.keystore import KeyStore, decode_key, encode_key, write_private
 
 Which = Annotated[str, arg("Fingerprint, name or board, as in 'board key list'.", "KEY")]
 
@@ -28,28 +26,21 @@ def set_(
 
     Example: tailbeat board key set --connect /dev/ttyACM0
     """
-    with _reported_when_interrupted():
-        key = set_key(fish, name)
-    return Output(
-        key.public(),
-        f"the board signs with key {key.fingerprint} now, and so does this computer; a second one"
-        " gets it with: tailbeat board key export FILE",
-    )
-
-
-@contextlib.contextmanager
-def _reported_when_interrupted() -> Iterator[None]:
-    """A key that was kept here may have reached the board or not."""
     before = KeyStore().usable()
     try:
-        yield
-    except KeyboardInterrupt:
+        key = set_key(fish, name)
+    except KeyboardInterrupt:  # a key that was kept here may have reached the board or not
         if KeyStore().usable() != before:
             warn(
                 "interrupted: the board may have the new key or not; look with:"
                 " tailbeat board key status"
             )
         raise
+    return Output(
+        key.public(),
+        f"the board signs with key {key.fingerprint} now, and so does this computer; a second one"
+        " gets it with: tailbeat board key export FILE",
+    )
 
 
 def status(fish: FishWithoutNotice) -> Output:
@@ -62,24 +53,22 @@ def status(fish: FishWithoutNotice) -> Output:
 
 
 def _status_text(found: KeyStatus) -> str:
-    lines = [f"board      {found.board or 'only for authenticated hosts'}"]
-    if found.held is not None:
-        named = f" ({found.held.name})" if found.held.name else ""
-        lines.append(f"key        {found.held.fingerprint}{named}, set {found.held.created}")
+    held, lost = found.held, found.lost
+    if held is not None:
+        named = f" ({held.name})" if held.name else ""
+        key = f"{held.fingerprint}{named}, set {held.created}"
     elif found.trust == "missing":
-        lines.append(
-            "key        only on the board, not on this computer: tailbeat board key import"
-        )
+        key = "only on the board, not on this computer: tailbeat board key import"
     else:
-        lines.append("key        none: anyone in radio range can move it: tailbeat board key set")
-    if found.lost is not None:
-        lines.append(
-            f"lost       key {found.lost.fingerprint}: this computer has it, the board has not any"
-            " more"
-        )
+        key = "none: anyone in radio range can move it: tailbeat board key set"
     counts = ", ".join(f"{n.removeprefix('refused_')} {v}" for n, v in found.refused.items())
-    lines.append(f"refused    {counts or 'not counted by this firmware'}")
-    return "\n".join(lines)
+    return lines_of(
+        f"board      {found.board or 'only for authenticated hosts'}",
+        f"key        {key}",
+        lost
+        and f"lost       key {lost.fingerprint}: this computer has it, the board has not any more",
+        f"refused    {counts or 'not counted by this firmware'}",
+    )
 
 
 def list_() -> Output:
@@ -147,12 +136,8 @@ def import_(
     else:
         content, where = file.read_bytes(), str(file)
     key = KeyStore().add(decode_key(content, where))
-    return Output(key.public(), lambda: _import_text(key, file))
-
-
-def _import_text(key: StoredKey, file: Path) -> str:
-    line = f"this computer has key {key.fingerprint} of board {key.board[:8]}"
-    return line if str(file) == "-" else f"{line}; delete {file} now"
+    text = f"this computer has key {key.fingerprint} of board {key.board[:8]}"
+    return Output(key.public(), text if str(file) == "-" else f"{text}; delete {file} now")
 
 
 def delete(which: Which) -> Output:

@@ -9,22 +9,24 @@ from typing import Any, Literal
 
 import typer
 
-from tailbeat.app.cli._experiment import (
+from tailbeat.app.cli._lazy import arg, opt
+from tailbeat.app.cli._options import (
+    Connect,
+    IdentifiedFile,
+    assessment_after,
+    assessment_lines,
+    connected,
     pull_with_bar,
-    verdict_after_learning,
-    verdict_text,
     warn_if_another,
 )
-from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._options import Connect, IdentifiedFile, connected
-from tailbeat.app.cli._terminal import TRIAL_MAX, Output, warn
+from tailbeat.app.cli._terminal import TRIAL_MAX, Output, lines_of, warn
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_TRIAL, refusal
 from tailbeat.core.printable import mm
 from tailbeat.core.trial_checks import never_corrected
 from tailbeat.core.trial_file import read_trial
-from tailbeat.experiment.library import TrialLibrary, library_of
+from tailbeat.experiment.library import TrialLibrary, identified_of, library_of
 from tailbeat.learning.assessment import rollback_words
 from tailbeat.learning.convergence import Assessment
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
@@ -89,13 +91,14 @@ def _learn(fish: Fish, number: int | None) -> Output:
     held, visits = fish.amplitudes(), fish.visits()
     if line := not_logged_text(fish):
         warn(line)
-    verdict = verdict_after_learning(fish, report.trial, report.rolled_back)
+    verdict = assessment_after(fish, report.trial, report.rolled_back)
     document = vars(report) | {"next_iteration": held.iteration, "amplitude_rad": held.values}
     document |= {"visits": visits, "verdict": verdict}
-    text = result(report)
-    text += f"; {rollback_words()}" if report.rolled_back else ""
-    missing = never_corrected(visits)
-    return Output(document, text + (f"\n{missing}" if missing else "") + verdict_text(verdict))
+    back = f"; {rollback_words()}" if report.rolled_back else ""
+    return Output(
+        document,
+        lines_of(result(report) + back, never_corrected(visits), assessment_lines(verdict)),
+    )
 
 
 _RESTORED = 3  # what made the amplitudes that swim next, memory_input_t
@@ -106,7 +109,7 @@ _ANEW = (
 
 
 def learn_with_model(
-    fish: Fish, number: int | None, identified_file: Path | None, dry_run: bool
+    fish: Fish, number: int | None, identified: Identified | None, dry_run: bool
 ) -> Output:
     """The pending trial, if there is one, then the amplitudes that swim next."""
     pending = fish.status().pending_trial
@@ -114,10 +117,10 @@ def learn_with_model(
         raise refusal(NO_TRIAL)
     unique_id = fish.unique_id()
     book = library_of(fish)
-    identified = _identified(book, identified_file)
+    identified = identified or _identified(book)
     warn_if_another(identified, unique_id)
     setting = setting_of(fish)
-    every, kept = _swims(fish, pending, book, dry_run)
+    every, kept = _trials(fish, pending, book, dry_run)
     trials = trials_since(identified, every, unique_id)
     if numbering_restarted(every, trials):
         warn(_ANEW)
@@ -132,19 +135,16 @@ def learn_with_model(
             book.add_proposal(step.document)
         upload(fish, setting, step.proposal)
         log_state(fish)
-    verdict = None
+    found = None
     if report is not None:
-        verdict = verdict_after_learning(fish, report.trial, report.rolled_back, kept)
-    if verdict is not None and verdict.kind == "rolled_back" and following.upload:
-        verdict = replace(verdict, words=f"{verdict.words}, which the model's plan replaces")
-    return _output(step, pending, report, following, verdict)
+        found = assessment_after(fish, report.trial, report.rolled_back, kept)
+    if found is not None and found.kind == "rolled_back" and following.upload:
+        found = replace(found, words=f"{found.words}, which the model's plan replaces")
+    return _output(step, pending, report, following, found)
 
 
-def _identified(book: TrialLibrary | None, file: Path | None) -> Identified:
-    if file is not None:
-        return Identified.load(file)
-    found = book.identified() if book is not None else None
-    if found is None:
+def _identified(book: TrialLibrary | None) -> Identified:
+    if (found := identified_of(book)) is None:
         raise InputError(
             "the fish has not been identified.",
             "tailbeat session identify, or give --identified FILE.",
@@ -152,7 +152,7 @@ def _identified(book: TrialLibrary | None, file: Path | None) -> Identified:
     return found
 
 
-def _swims(
+def _trials(
     fish: Fish, pending: int | None, book: TrialLibrary | None, dry_run: bool
 ) -> tuple[list[TrialSpeeds], Path | None]:
     """All in the library and the pending one, which is kept there unless it is a dry run; and where
@@ -164,10 +164,8 @@ def _swims(
         if book is None:
             trial = trial_speeds(read_trial(path))
             return [trial] if trial.measured.any() else [], None
-        if dry_run:
-            return book.speeds(path), None
-        kept = book.keep(path)
-        return book.speeds(kept), kept
+        kept = None if dry_run else book.keep(path)
+        return book.speeds(kept or path), kept
 
 
 def _output(
@@ -188,26 +186,24 @@ def _output(
         "dry_run": following is None,
         "verdict": verdict,
     }
-    return Output(document, lambda: _text(step, report, following) + verdict_text(verdict))
+    text = lines_of(_text(step, report, following), assessment_lines(verdict))
+    return Output(document, text)
 
 
 def _text(step: ModelStep, report: LearnReport | None, following: NextInput | None) -> str:
-    proposal = step.proposal
-    parts = []
+    proposal, parts = step.proposal, []
     if report is not None:
-        said = f"trial {report.trial}: max|e| {mm(report.max_abs_error_m_s)} mm/s"
-        parts.append(said + _expected(", predicted", step.foretold_m_s))
+        measured = f"trial {report.trial}: max|e| {mm(report.max_abs_error_m_s)} mm/s"
+        parts.append(measured + _expected(", predicted", step.foretold_m_s))
     parts.append(proposal.reason)
-    if report is not None and report.rolled_back:
-        parts.append("worse twice")
-    if following is not None and following.words:
-        parts.append(following.words)
-    if following is not None and not following.upload:
-        return "; ".join(parts)
-    word = "would swim next" if following is None else "next"
-    parts.append(word + _expected(" max|e|", proposal.predicted_max_abs_error_m_s) + " mm/s")
-    if proposal.limited_beats:
-        parts.append(f"DU_MAX_RAD holds {proposal.limited_beats} beats back")
+    parts += ["worse twice"] if report is not None and report.rolled_back else []
+    parts += [following.words] if following is not None and following.words else []
+    if following is None or following.upload:
+        word = "would swim next" if following is None else "next"
+        expected = _expected(" max|e|", proposal.predicted_max_abs_error_m_s)
+        parts.append(f"{word}{expected} mm/s")
+        held = proposal.limited_beats
+        parts += [f"DU_MAX_RAD holds {held} beats back"] if held else []
     return "; ".join(parts)
 
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from tailbeat.app.cli._lazy import arg
-from tailbeat.app.cli._options import Connect, ConnectedFish, connected
-from tailbeat.app.cli._terminal import Output, table, warn
+from tailbeat.app.cli._options import ConnectedFish
+from tailbeat.app.cli._terminal import Output, pick, table, warn
 from tailbeat.core.param_names import current_name
 from tailbeat.experiment.current import accept, note_all, note_set
 from tailbeat.link import params
 from tailbeat.link.params import Parameter
 
+_KEYS = ("name", "value", "unit")
 Name = Annotated[str, arg("For example ILC_GAIN.", "NAME")]
 
 
@@ -28,13 +29,9 @@ def _present(name: str) -> str:
     return new
 
 
-def _document(parameter: Parameter) -> dict[str, Any]:
-    return {"name": parameter.name, "value": parameter.value, "unit": parameter.unit}
-
-
 def _one(found: Parameter) -> Output:
     text = f"{found.name} = {_number(found.value)} {found.unit}".rstrip()
-    return Output(_document(found), text)
+    return Output(pick(found, *_KEYS), text)
 
 
 def get_(fish: ConnectedFish, name: Name) -> Output:
@@ -60,8 +57,8 @@ def set_(
 
 
 def preset(
+    fish: ConnectedFish,
     name: str = arg("Which set of values.", "thesis"),
-    connect: Connect = None,
 ) -> Output:
     """Set all parameters of a named set: thesis = the learning law of the thesis and its limits.
 
@@ -70,14 +67,13 @@ def preset(
     Example: tailbeat params preset thesis
     """
     values = params.preset(name)
-    with connected(connect) as fish:
-        held = fish.params.apply(values)
-        note_set(fish, {now.name: now.value for _, now in held.values()})
+    held = fish.params.apply(values)
+    note_set(fish, {now.name: now.value for _, now in held.values()})
     rows = [
         [now.name, _number(now.value), now.unit, _unlike("was", before, now.value)]
         for before, now in held.values()
     ]
-    document = {"preset": name, "params": [_document(now) for _, now in held.values()]}
+    document = {"preset": name, "params": [pick(now, *_KEYS) for _, now in held.values()]}
     return Output(document, lambda: table(["name", "value", "unit", ""], rows, left=(0, 2, 3)))
 
 

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._experiment import sound_identified, warn_if_another
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._options import (
     Connect,
@@ -17,83 +16,77 @@ from tailbeat.app.cli._options import (
     IdentifiedFile,
     connected,
     reference_names,
+    sound_identified,
+    warn_if_another,
 )
-from tailbeat.app.cli._terminal import Output, bytes_bar, pick, warn
+from tailbeat.app.cli._terminal import Output, bytes_bar, command_typed, lines_of, pick, warn
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_REFERENCE, refusal
-from tailbeat.core.printable import mm
+from tailbeat.core.printable import amplitude_rows, mm
 from tailbeat.core.records import decode_reference
 from tailbeat.core.reference import Reference, ReferenceLimits, ReferenceProblem
 from tailbeat.experiment.current import named_reference
-from tailbeat.experiment.library import library_of, name_reference
-from tailbeat.learning.error_bound import ErrorBoundRange, Miss, error_bound_range
+from tailbeat.experiment.library import known_fish_of, library_of, name_reference
+from tailbeat.learning.error_bound import ErrorBoundRange, Miss, Suggestion, error_bound_range
 from tailbeat.learning.error_bound import suggest as suggest_feasible
-from tailbeat.learning.fish_model import TrialSpeeds
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.saturation import KnownFish, Saturation, expected_saturation, known_fish
+from tailbeat.learning.saturation import KnownFish, expected_saturation, known_fish
 from tailbeat.session.transfer import TransferPlan, plan, upload_transfer
 
 _BOUND_FINE_M_S = 0.002
 
 
-def bound_document(around: ErrorBoundRange) -> dict[str, Any]:
+def _bound_document(around: ErrorBoundRange) -> dict[str, Any]:
     """Keys of ``reference check --json`` under ``floor``."""
-    names = ("minimax_m_s", "lsq_max_abs_m_s", "lsq_rms_m_s", "spots")
     return {
-        **pick(around.bound, *names),
+        **pick(around.bound, "minimax_m_s", "lsq_max_abs_m_s", "lsq_rms_m_s", "spots"),
         "lsq_max_abs_band_m_s": around.lsq_max_abs_m_s,
         "minimax_input_rad": around.bound.minimax_input,
         "lsq_input_rad": around.bound.lsq_input,
     }
 
 
-def bound_text(around: ErrorBoundRange, assumed: Sequence[str] = ()) -> str:
+def _bound_lines(around: ErrorBoundRange, assumed: Sequence[str]) -> list[str]:
     """One line, and one for each place where the reference cannot be reached. ``assumed``: what of
     the fish was not identified."""
     found, (low, high) = around.bound, around.lsq_max_abs_m_s
     lines = [
         f"error bound (least squares) {mm(found.lsq_max_abs_m_s)} mm/s ({mm(low)} to {mm(high)} by"
         f" what is known of the fish), minimax {mm(found.minimax_m_s)}: no input can do better than"
-        " that"
+        " that",
+        *map(_spot_text, found.spots),
     ]
-    lines += [f"  {_spot_text(spot)}" for spot in found.spots]
     if assumed:
-        lines.append(
-            f"  it rests on an assumed {', '.join(assumed)}: runs tell better (tailbeat session "
-            "identify)"
-        )
-    return "\n".join(lines)
+        rests = f"  it rests on an assumed {', '.join(assumed)}: runs tell better"
+        lines.append(f"{rests} (tailbeat session identify)")
+    return lines
 
 
 def _spot_text(spot: Miss) -> str:
     where = f"beat {spot.first}" if spot.first == spot.last else f"beats {spot.first}-{spot.last}"
     way = "slow" if spot.error_m_s > 0 else "fast"
-    return f"{where}: up to {mm(abs(spot.error_m_s))} mm/s too {way}: {spot.why}"
+    return f"  {where}: up to {mm(abs(spot.error_m_s))} mm/s too {way}: {spot.why}"
 
 
 def _upload_warm(
-    fish: Fish, reference: Reference, old: str, identified_file: Path | None, dry_run: bool
+    fish: Fish, reference: Reference, old: str, identified: Identified | None, dry_run: bool
 ) -> Output:
     """Uploads the reference and amplitudes for it, or prints them."""
     book = library_of(fish)
-    identified = sound_identified(book) if book is not None else None
-    if identified_file is not None:
-        identified = Identified.load(identified_file)
+    if identified is None and book is not None:
+        identified = sound_identified(book)
     unique_id = fish.unique_id()
     if identified is not None:
         warn_if_another(identified, unique_id)
     found = plan(fish, old, reference, identified, book)
     if found.learned.unique_id not in ("", unique_id):
         warn(f"learned by another fish ({found.learned.unique_id})")
-    document = _document(reference)
-    document |= {"like": found.as_dict(), "copy": None, "dry_run": dry_run}
+    document = _document(reference) | {"like": found.as_dict(), "copy": None, "dry_run": dry_run}
     words = f"{reference.name}: {_line(reference)}; {_words(found)}"
     if dry_run:
         warn(f"would upload {words}")
-        rows = enumerate(found.transferred.amplitude_rad)
-        table = [f"{beat},{float(value)!r}" for beat, value in rows]
-        return Output(document, "\n".join(["beat,amplitude_rad", *table]))
+        return Output(document, amplitude_rows(found.transferred.amplitude_rad))
     with bytes_bar("upload") as show:
         copy = upload_transfer(fish, found, book, show)
     name_reference(fish, reference)
@@ -113,12 +106,13 @@ def _words(found: TransferPlan) -> str:
 
 
 What = Annotated[
-    str,
+    Reference,
     arg(
         "thesis[:V,DURATION_S], trapezoid:V,RAMP_S,HOLD_S, cosine:V,RAMP_S,HOLD_S or a CSV "
         "with t_s,v_m_s (a curve's points) or beat,t_s,v_m_s (beat means, as written here).",
         "REFERENCE",
         autocompletion=reference_names,
+        by=named_reference,
     ),
 ]
 
@@ -144,18 +138,13 @@ def _line(reference: Reference) -> str:
 
 
 def _refusal(problems: list[ReferenceProblem]) -> InputError | None:
-    return (
-        InputError(
-            " ".join(problem.meaning for problem in problems),
-            " ".join(dict.fromkeys(problem.remedy for problem in problems)),
-        )
-        if problems
-        else None
-    )
+    meaning = " ".join(problem.meaning for problem in problems)
+    remedies = dict.fromkeys(problem.remedy for problem in problems)
+    return InputError(meaning, " ".join(remedies)) if problems else None
 
 
 def upload(
-    what: What,
+    reference: What,
     warm_start: str | None = opt(
         "Begin with what was learned along OLD, a reference of the same shape: board (what"
         " it holds now), a trial's file, an experiment's folder, or a reference.",
@@ -174,7 +163,6 @@ def upload(
     """
     if warm_start is None and (dry_run or identified is not None):
         raise typer.BadParameter("--dry-run and --identified are for --warm-start OLD")
-    reference = named_reference(what)
     with connected(connect) as fish:
         if (refused := _refusal(reference.check(_limits(fish)))) is not None:
             raise refused
@@ -215,7 +203,7 @@ class _CheckedAgainst:
 
 
 def check(
-    what: What,
+    reference: What,
     suggest: bool = opt("Write the nearest reference the fish can follow."),
     identified: IdentifiedFile = None,
     out: Path | None = opt("CSV for --suggest; default: NAME-feasible.csv."),
@@ -232,79 +220,77 @@ def check(
 
     Example: tailbeat reference check thesis --suggest
     """
-    reference = named_reference(what)
     known = _known(identified, amp_max, tank, connect)
     problems = reference.check(known.limits)
-    found = known.identified and error_bound_range(
-        known.identified, reference, known.amplitude_max_rad, slew
+    limit = known.amplitude_max_rad
+    found, bound_lines, saturation = None, [_UNKNOWN], None
+    if known.identified is not None:
+        found = error_bound_range(known.identified, reference, limit, slew)
+        bound_lines = _bound_lines(found, known.identified.assumed)
+    if known.fish is not None:
+        saturation = expected_saturation(known.fish, reference, {"AMP_MAX_RAD": limit})
+    suggestion = _suggested(reference, known) if suggest else None
+    beyond = found is not None and found.bound.lsq_max_abs_m_s > _BOUND_FINE_M_S
+    document = _document(reference, problems) | {
+        "floor": found and _bound_document(found),
+        "saturation": saturation,
+    }
+    lines = lines_of(
+        map(str, problems) if problems else f"fits: {_line(reference)}",
+        saturation and saturation.text,
+        bound_lines,
     )
-    document = _document(reference, problems)
-    document["floor"] = bound_document(found) if found else None
-    saturation = _expected(known, reference)
-    document["saturation"] = saturation
-    lines = [str(problem) for problem in problems] or [f"fits: {_line(reference)}"]
-    if saturation is not None:
-        lines.append(saturation.text)
-    if found and known.identified:
-        lines.append(bound_text(found, known.identified.assumed))
-    else:
-        lines.append(_UNKNOWN)
-    if suggest:
-        document["suggestion"], text = _suggested(reference, known, out)
-        lines.append(text)
-    elif found and found.bound.lsq_max_abs_m_s > _BOUND_FINE_M_S:
-        hint = f"tailbeat reference check {what} --suggest"
-        lines.append(f"a reference this fish can follow: {hint}")
-    refused = None if suggest else _refusal(problems)
-    return Output(document, "" if refused else "\n".join(lines), error=refused)
+    if suggestion is not None:
+        path = out or Path(f"{reference.name}-feasible.csv")
+        suggestion.to_csv(path)
+        document["suggestion"] = _suggestion_document(suggestion, path)
+        return Output(document, lines_of(lines, _suggestion_lines(suggestion, path)))
+    hint = f"a reference this fish can follow: {command_typed()} --suggest" if beyond else None
+    refused = _refusal(problems)
+    return Output(document, "" if refused else lines_of(lines, hint), error=refused)
 
 
 _UNKNOWN = "error bound unknown: this fish has not been identified (tailbeat session identify)"
 
 
-def _expected(known: _CheckedAgainst, reference: Reference) -> Saturation | None:
-    if known.fish is None:
-        return None
-    return expected_saturation(known.fish, reference, {"AMP_MAX_RAD": known.amplitude_max_rad})
-
-
 def _known(
-    path: Path | None, amp_max: float | None, tank: float | None, connect: str | None
+    identified: Identified | None, amp_max: float | None, tank: float | None, connect: str | None
 ) -> _CheckedAgainst:
-    trials: list[TrialSpeeds] = []
-    loaded = Identified.load(path) if path is not None else None
-    if loaded is not None and amp_max is not None:
-        limits = ReferenceLimits()
+    if identified is not None and amp_max is not None:
+        limits, known = ReferenceLimits(), known_fish(identified, ())
     else:
         with connected(connect) as fish:
             limits = _limits(fish)
             if amp_max is None:
                 amp_max = fish.params.get("AMP_MAX_RAD").value
-            if loaded is None and (library := library_of(fish)) is not None:
-                loaded = library.identified()
-                trials = library.speeds() if loaded is None else []
+            library = library_of(fish)
+            if identified is None and library is not None:
+                identified = library.identified()
+            known = known_fish(identified, ()) if identified else known_fish_of(library)
     if tank is not None:
         limits = replace(limits, tank_m=tank)
-    return _CheckedAgainst(limits, amp_max, loaded, known_fish(loaded, trials))
+    return _CheckedAgainst(limits, amp_max, identified, known)
 
 
-def _suggested(
-    reference: Reference, known: _CheckedAgainst, out: Path | None
-) -> tuple[dict[str, Any], str]:
+def _suggested(reference: Reference, known: _CheckedAgainst) -> Suggestion:
     if known.identified is None:
         raise InputError(
             "what this fish can follow is not known: it has not been identified.",
             "Run tailbeat session identify, or name a file with --identified.",
         )
-    found = suggest_feasible(known.identified, reference, known.amplitude_max_rad, known.limits)
-    path, made = out or Path(f"{reference.name}-feasible.csv"), found.reference
-    found.to_csv(path)
-    document = pick(made, "beats", "beat_s", "travel_m", "speed_m_s", "crc")
-    document |= {"path": path, "floor_lsq_m_s": found.floor_m_s, "changes": found.changes}
-    lines = [
+    return suggest_feasible(known.identified, reference, known.amplitude_max_rad, known.limits)
+
+
+def _suggestion_document(found: Suggestion, path: Path) -> dict[str, Any]:
+    document = pick(found.reference, "beats", "beat_s", "travel_m", "speed_m_s", "crc")
+    return document | {"path": path, "floor_lsq_m_s": found.floor_m_s, "changes": found.changes}
+
+
+def _suggestion_lines(found: Suggestion, path: Path) -> list[str]:
+    made = found.reference
+    return [
         f"suggested: {made.beats} beats, {made.travel_m:.2f} m, "
         f"error bound (least squares) {mm(found.floor_m_s)} mm/s",
         *(f"  {change}" for change in found.changes),
         f"written to {path}; use it: tailbeat reference upload {path}",
     ]
-    return document, "\n".join(lines)

@@ -7,10 +7,18 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from tailbeat.app.cli._experiment import sound_identified, verdict_lines
 from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._options import EXPERIMENTS, Connect, Library, Plot, Root, connected
-from tailbeat.app.cli._terminal import Output, pick, table, warn
+from tailbeat.app.cli._options import (
+    EXPERIMENTS,
+    Connect,
+    Library,
+    Plot,
+    Root,
+    connected,
+    sound_identified,
+    verdict_lines,
+)
+from tailbeat.app.cli._terminal import Output, lines_of, pick, table, warn
 from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
 from tailbeat.core.trial_checks import never_measured
@@ -25,10 +33,19 @@ from tailbeat.learning.identification import Identified
 from tailbeat.report.figures.convergence import draw_progress
 from tailbeat.report.paper import Written, write_report
 
+_LIST = "list"
+
+
+def _crc(text: str) -> str | int:
+    try:
+        return text if text == _LIST else int(text, 0)
+    except ValueError:
+        raise InputError(f"'{text}' is no reference's CRC.", "Write it like 0x1a2b3c4d.") from None
+
 
 def progress(
     experiment: Path | None = opt("Its trials; default: those of the trial library.", "DIR"),
-    reference: str | None = opt("0x1a2b3c4d, or list; default: the last.", "CRC"),
+    reference: str | int | None = opt("0x1a2b3c4d, or list; default: the last.", "CRC", by=_crc),
     plot: Plot = None,
     apply: bool = opt("Set the advised ILC_DECR_RATE, ILC_DECR_FROM on the board."),
     library: Library = None,
@@ -41,12 +58,12 @@ def progress(
     known = _material(experiment, library, connect)
     for problem in known.problems:
         warn(problem)
-    if reference == "list":
+    if isinstance(reference, str):
         rows = references_of(known)
         return Output({"references": rows}, lambda: _references_text(rows))
 
     trials = [one.trial for one in known.kept if not one.mark]
-    found = progress_of(trials, _crc(reference), known.identified, known.problems)
+    found = progress_of(trials, reference, known.identified, known.problems)
     for problem in found.problems[len(known.problems) :]:
         warn(problem)
     left_out = _discarded(known, found)
@@ -117,34 +134,29 @@ def _discarded(known: _Material, found: Progress) -> list[int]:
     return [one.trial.number for one in mine if one.mark == DISCARDED]
 
 
-def _crc(text: str | None) -> int | None:
-    if text is None:
-        return None
-    try:
-        return int(text, 0)
-    except ValueError:
-        raise InputError(f"'{text}' is no reference's CRC.", "Write it like 0x1a2b3c4d.") from None
-
-
 def _apply(found: Progress, connect: str | None) -> dict[str, float]:
     if found.fade is None:
         raise InputError(
             "there is nothing to apply: the series fluctuates no more than its noise.",
             "Run it without --apply.",
         )
-    values = {"ILC_DECR_RATE": found.fade.fade, "ILC_DECR_FROM": float(found.fade.fade_from)}
     with connected(connect) as fish:
-        held = {name: fish.params.set(name, value).value for name, value in values.items()}
+        held = {name: fish.params.set(name, value).value for name, value in _advised(found).items()}
         note_set(fish, held)
     return held
 
 
-def _progress_document(found: Progress) -> dict[str, Any]:
+def _advised(found: Progress) -> dict[str, float]:
+    """The parameters of a decreasing gain, if one is advised."""
     fade = found.fade
+    return {"ILC_DECR_RATE": fade.fade, "ILC_DECR_FROM": fade.fade_from} if fade else {}
+
+
+def _progress_document(found: Progress) -> dict[str, Any]:
     return {
         **pick(found, "reference_crc", "verdict", "floor_m_s", "visits", "fluctuation", "problems"),
         "trials": found.rows,
-        "fade": fade and {"ILC_DECR_RATE": fade.fade, "ILC_DECR_FROM": fade.fade_from},
+        "fade": _advised(found) or None,
     }
 
 
@@ -161,39 +173,43 @@ def _progress_text(found: Progress, applied: dict[str, float] | None, discarded:
         ]
         for row in found.rows
     ]
-    lines = [table(header, rows, left=(5,))]
-    if discarded:
-        lines.append(f"discarded, not counted: trial {', '.join(map(str, discarded))}")
-    if missing := never_measured(found.visits):
-        lines.append(missing)
-    return "\n".join([*lines, *_conclusion(found, applied)])
+    missing = never_measured(found.visits)
+    return lines_of(
+        table(header, rows, left=(5,)),
+        discarded and f"discarded, not counted: trial {', '.join(map(str, discarded))}",
+        missing,
+        _conclusion(found, applied),
+    )
 
 
-def _conclusion(found: Progress, applied: dict[str, float] | None) -> list[str]:
-    verdict = found.verdict
-    lines = []
+def _conclusion(found: Progress, applied: dict[str, float] | None) -> str:
+    verdict, fade = found.verdict, found.fade
+    best = fluctuates = ""
     if verdict.best_trial:
         best = f"best: trial {verdict.best_trial}, {mm(verdict.best_max_abs_error_m_s)} mm/s"
-        floor = f"; error bound (least squares) {mm(found.floor_m_s)} mm/s"
-        lines.append(f"{best}, {verdict.band.text()}{floor if found.floor_m_s else ''}")
-    go_on = ["go on: tailbeat trial run, tailbeat learn"]
-    lines += verdict_lines(verdict) or go_on
-    if found.fade is not None and found.fluctuation is not None:
-        names = f"ILC_DECR_RATE {found.fade.fade:g}, ILC_DECR_FROM {found.fade.fade_from}"
-        how = "set" if applied else "set it with --apply"
-        lines.append(
-            f"trials fluctuate {found.fluctuation:.1f} times as much as repeats: "
-            f"use a decreasing gain, {names} ({how})"
+        bound = f"; error bound (least squares) {mm(found.floor_m_s)} mm/s"
+        best += f", {verdict.band.text()}{bound if found.floor_m_s else ''}"
+    if fade is not None and found.fluctuation is not None:
+        fluctuates = (
+            f"trials fluctuate {found.fluctuation:.1f} times as much as repeats: use a decreasing"
+            f" gain, ILC_DECR_RATE {fade.fade:g}, ILC_DECR_FROM {fade.fade_from}"
+            f" ({'set' if applied else 'set it with --apply'})"
         )
-    return lines
+    go_on = "go on: tailbeat trial run, tailbeat learn"
+    return lines_of(best, verdict_lines(verdict) or go_on, fluctuates)
 
 
 def report(
-    folder: Path | None = arg(
-        "The experiment's folder; default: the newest below --root.", "FOLDER", show_default=False
+    experiment: Experiment | None = arg(
+        "The experiment's folder; default: the newest below --root.",
+        "FOLDER",
+        by=Experiment.open,
+        show_default=False,
     ),
     paper: bool = opt("Also figures as PDF and SVG, captions and tables."),
-    against: list[Path] | None = opt("Compare with another; repeatable.", "FOLDER"),
+    against: list[Experiment] | None = opt(
+        "Compare with another; repeatable.", "FOLDER", by=Experiment.open
+    ),
     out: Path | None = opt("Default: report/ in the experiment.", "DIR", show_default=False),
     root: Root = EXPERIMENTS,
 ) -> Output:
@@ -201,19 +217,13 @@ def report(
 
     Example: tailbeat report --paper
     """
-    chosen = Experiment.open(folder) if folder else newest(root)
-    others = [Experiment.open(one) for one in against or []]
-    written = write_report(chosen, paper, others, out)
+    chosen = experiment or newest(root)
+    written = write_report(chosen, paper, against or [], out)
     write_redo(chosen)
-    document = {
-        "experiment": chosen.folder,
-        "page": written.page,
-        "figures": written.figures,
-        "tables": written.tables,
-    }
+    document = {"experiment": chosen.folder, **pick(written, "page", "figures", "tables")}
     if written.tables and (line := missing_formats()):
         warn(line)
-    return Output(document, lambda: _text_report(chosen, written, named=folder is not None))
+    return Output(document, lambda: _text_report(chosen, written, named=experiment is not None))
 
 
 def newest(root: Path) -> Experiment:
@@ -237,10 +247,10 @@ def _made(experiment: Experiment) -> tuple[float, str]:
 
 
 def _text_report(experiment: Experiment, written: Written, named: bool) -> str:
-    lines = [] if named else [f"the newest: {experiment.folder}"]
-    lines.append(str(written.page))
-    if written.figures:
-        lines.append(f"{len(written.figures)} files of figures in {written.figures[0].parent}")
-    if written.tables:
-        lines.append(f"{len(written.tables)} tables in {written.tables[0].parent}")
-    return "\n".join(lines)
+    figures, tables = written.figures, written.tables
+    return lines_of(
+        not named and f"the newest: {experiment.folder}",
+        str(written.page),
+        figures and f"{len(figures)} files of figures in {figures[0].parent}",
+        tables and f"{len(tables)} tables in {tables[0].parent}",
+    )

@@ -1,29 +1,50 @@
-"""session commission, trim, resume, status."""
+"""session commission, trim, design, status, resume."""
 
 from __future__ import annotations
 
+import math
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
+import typer
+
 from tailbeat.app.cli._camera import CameraOptions, LiveCamera, TankCameraOptions, live_camera
-from tailbeat.app.cli._experiment import experiment_of, in_no_experiment
 from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._operator import COUNTS, KINDS, Keys, TerminalOperator, terminal
 from tailbeat.app.cli._options import (
     Connect,
+    ConnectedFish,
+    IdentifiedFile,
     Into,
+    Plot,
+    ReferenceName,
     Rest,
     connected,
-    preflight_limits,
+    experiment_of,
+    in_no_experiment,
     reference_names,
 )
-from tailbeat.app.cli._terminal import Display, Output, command_typed, json_asked, pick
-from tailbeat.board.fish import Fish
+from tailbeat.app.cli._terminal import Display, Output, command_typed, json_asked, lines_of, pick
+from tailbeat.board.fish import Fish, board_reference
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError
-from tailbeat.experiment.current import current, experiment_for, is_interrupted, named_reference
+from tailbeat.core.files import plain
+from tailbeat.core.printable import mm
+from tailbeat.core.reference import Reference, thesis
+from tailbeat.experiment.current import (
+    current,
+    experiment_for,
+    is_interrupted,
+    named_reference,
+    note_set,
+)
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import library_of, preserve_folder
+from tailbeat.experiment.library import TrialLibrary, library_of, preserve_folder
+from tailbeat.learning.design import Design, law_words
+from tailbeat.learning.design import design as design_law
+from tailbeat.learning.identification import Identified, from_table
+from tailbeat.report.figures.convergence import draw_law
 from tailbeat.session.commission import CommissionStep, commission_fish
 from tailbeat.session.outcome import Decision
 from tailbeat.session.preflight_step import PreflightLimits
@@ -32,15 +53,142 @@ from tailbeat.session.series import Options
 from tailbeat.session.status import status_of, words
 from tailbeat.session.trim import Trim, apply, find_centre
 
+
+def design(
+    identified: IdentifiedFile = None,
+    table: Path | None = opt("Steady speeds: amplitude_rad,speed_m_s.", "CSV"),
+    reference: ReferenceName = None,
+    gain: float | None = opt("Judge this gain, rad per m/s."),
+    lead: float | None = opt("Judge this lead: 0, 0.5, 1, ... beats."),
+    q: int | None = opt("Length of the filter Q; 1 = none.", min=1),
+    amplitude_max_rad: float | None = opt(
+        "rad; default: the board's, or pi/4 without a board.",
+        name="--amplitude-max",
+        min=0.01,
+        max=1.0471976,
+        show_default=False,
+    ),
+    force: bool = opt("Also a law that does not learn."),
+    apply: bool = opt("Make it the connected board's."),
+    plot: Plot = None,
+    connect: Connect = None,
+) -> Output:
+    """Choose gain, lead and filter for an identified fish, or assess given ones.
+
+    The fish: a file, a table of steady speeds, or what the trial library has of the connected one.
+    Without --apply nothing changes on the board.
+
+    Example: tailbeat session design --table amplitude.csv --gain 4
+    """
+    if identified is not None and table is not None:
+        raise typer.BadParameter("--identified and --table exclude each other")
+    needs_fish = apply or (identified is None and table is None)
+    with connected(connect) if needs_fish else nullcontext() as fish:
+        known = identified or _identified(table, fish)
+        chosen = reference or (fish and board_reference(fish)) or thesis()
+        step_rad = fish.params.get("DU_MAX_RAD").value if fish else 0.0
+        if amplitude_max_rad is None:
+            amplitude_max_rad = fish.params.get("AMP_MAX_RAD").value if fish else math.pi / 4
+        limit_rad = amplitude_max_rad
+        found = design_law(known, chosen, limit_rad, gain, lead, q, step_max_rad=step_rad)
+        if found.refused and not force:
+            remedy = f"Use --gain {found.static_gain_best:.2f}, or --force to insist."
+            raise InputError(found.refused, remedy)
+        if apply and fish is not None:
+            _apply(fish, found)
+        if plot is not None:
+            of_thesis = design_law(known, chosen, limit_rad, 4.0, 0.0, 1, step_max_rad=step_rad)
+            draw_law(found, of_thesis, plot)
+    return Output(_document(found, chosen, known, apply), lambda: _text(found, apply))
+
+
+def _identified(table: Path | None, fish: Fish | None) -> Identified:
+    if table is not None:
+        return from_table(table).identified
+    known = TrialLibrary.of(fish.unique_id()).identified() if fish is not None else None
+    if known is None:
+        raise InputError(
+            "this fish has not been identified.",
+            "Run 'tailbeat session identify' first, or give --table CSV with steady speeds.",
+        )
+    return known
+
+
+def _apply(fish: Fish, found: Design) -> None:
+    """The certificate is for kd = 0, the last error held beyond the end, a constant gain and the
+    last trial alone, so those go with it; older firmware knows only the last trial."""
+    known = fish.params.list()
+    law = {name: value for name, value in found.law.params().items() if name in known}
+    note_set(fish, {name: fish.params.set(name, value).value for name, value in law.items()})
+
+
+def _document(found: Design, chosen: Reference, known: Identified, applied: bool) -> dict[str, Any]:
+    return {
+        "gain_rad_s_m": found.law.kp_rad_s_m,
+        **pick(found.law, "lead_beats", "q_len"),
+        "reference": chosen.name,
+        **pick(known, "source", "assumed"),
+        "applied": applied,
+        "worst_cycles": found.worst_cycles,
+        **plain(found),
+    }
+
+
+def _text(found: Design, applied: bool) -> str:
+    medians = " ".join(mm(float(value)) for value in found.series.median_m_s)
+    lines = [
+        f"law        {law_words(found.law)}",
+        f"steady     errors become {found.ratio_dc:.2f} of themselves per trial; gain "
+        f"{found.static_gain_best:.2f} does best, below {found.static_gain_max:.2f} they shrink",
+        f"worst      {_worst(found)}",
+        f"proved     {_proved(found)}",
+        f"simulated  max|e| {medians} mm/s from iteration 0 on (medians)",
+        f"           90 % of the last: {mm(float(found.series.low_m_s[-1]))} to "
+        f"{mm(float(found.series.high_m_s[-1]))} mm/s",
+        f"bound      {mm(found.floor_m_s)} mm/s by the model: noise aside, no law does much better",
+    ]
+    applied_words = (
+        "applied    it is the board's now, with ILC_KD, ILC_END_EXT, ILC_DECR_RATE and "
+        "ILC_KIND 0; 'tailbeat params save' makes it last"
+    )
+    warnings = [f"warning    {line}" for line in found.warnings]
+    forced = found.refused and f"forced     {found.refused.rstrip('.')}"
+    return lines_of(lines, forced, warnings, applied and applied_words)
+
+
+def _worst(found: Design) -> str:
+    low, high = (speed * 1e3 for speed in found.speeds_m_s)
+    models = f"any of {found.models} models" if found.models > 2 else "the model"
+    return (
+        f"{found.ratio_max:.2f} per trial at {found.worst_cycles:.2f} cycles/beat, by {models} at "
+        f"{low:.0f} to {high:.0f} mm/s; {found.ratio_slow:.2f} at less, down to "
+        f"{found.slow_from_m_s * 1e3:.0f} mm/s"
+    )
+
+
+def _proved(found: Design) -> str:
+    if not found.input_ratio < 1:
+        return (
+            "nothing of the saturated law: one step may take amplitudes away from the fixed point "
+            f"(norm {found.input_ratio:.2f})"
+        )
+    return (
+        "of the saturated law, for small errors outside the dead zone: one step leaves at most "
+        f"{found.input_ratio:.2f} of the amplitudes' distance from the fixed point when the "
+        f"{found.input_beats} beats of that speed are off; not that all further steps do"
+    )
+
+
 Yes = Annotated[bool, opt("Answer every question with yes.", name="--yes")]
 
 
 def commission(
     *,
-    reference: str = opt(
+    reference: Reference = opt(
         "The reference, as for 'reference upload'.",
         autocompletion=reference_names,
         default="thesis",
+        by=named_reference,
     ),
     rest: Rest = None,
     yes: Yes = False,
@@ -55,14 +203,13 @@ def commission(
 
     Example: tailbeat session commission --reference thesis --camera 0 --calibration tank.json
     """
-    profile = named_reference(reference)
     camera.check()
     with connected(connect) as fish, live_camera(fish, camera) as live, terminal() as there:
         display = there[0]
         operator = _operator(*there, yes)
         steps = []
-        limits = preflight_limits(rest)
-        for step in commission_fish(fish, profile, operator, live.camera, live.guard, limits):
+        limits = rest or PreflightLimits()
+        for step in commission_fish(fish, reference, operator, live.camera, live.guard, limits):
             display.keep(f"{'ok' if step.done else '--'}  {step.name}: {step.words}")
             steps.append(step)
         held = fish.params.values("AMP_MAX_RAD", "DU_MAX_RAD")
@@ -92,8 +239,6 @@ def resume(
 
     Example: tailbeat session resume --camera 0 --calibration tank.json
     """
-    if into is not None:
-        Experiment.open(into)
     camera.check()
     with connected(connect) as fish, live_camera(fish, camera) as live, terminal() as there:
         if (experiment := _to_resume(fish, into)) is None:
@@ -101,38 +246,34 @@ def resume(
                 raise in_no_experiment(fish)
             return _restore_without_experiment(fish)
         restored = restore(fish, experiment, another_board)
-        for line in _restored_lines(restored, experiment):
-            there[0].keep(line)
+        there[0].keep(_restored_lines(restored, experiment))
         document: dict[str, Any] = {"experiment": experiment.folder, "restored": restored}
         if not repeat or fish.status().best_iteration is None:
             why = "" if repeat else " (--no-repeat)"
             text = f"nothing to repeat{why}; go on: tailbeat trial run"
             return Output(document | {"trial": None, "shift": None}, text)
         operator = _operator(*there, yes, repeats=True)
-        given = Options(wanted=preflight_limits(rest), typed=command_typed())
+        given = Options(wanted=rest or PreflightLimits(), typed=command_typed())
         shift = repeat_best(fish, experiment, operator, given, live.camera, live.guard)[1]
     text = f"{shift.words}\nthe amplitudes of iteration {restored.iteration} swim next, as before"
     document |= {"trial": shift.repeat_trial, "shift": shift}
     return Output(document, text, status=int(shift.remedy in ("trim", "identify")))
 
 
-def status(into: Into = None, connect: Connect = None) -> Output:
+def status(fish: ConnectedFish, into: Into = None) -> Output:
     """Print the current experiment, its best trial, battery, convergence and limits.
 
     Example: tailbeat session status
     """
-    if into is not None:
-        Experiment.open(into)
-    with connected(connect) as fish:
-        found = status_of(fish, Experiment.open(into) if into else experiment_of(fish))
+    found = status_of(fish, into or experiment_of(fish))
     return Output(found, lambda: "\n".join(words(found)))
 
 
-def _to_resume(fish: Fish, into: Path | None) -> Experiment | None:
+def _to_resume(fish: Fish, into: Experiment | None) -> Experiment | None:
     """The one that was named, or the one the fish is in; None when the board has been given another
     reference than that one's since, and no experiment of it has begun."""
     if into is not None:
-        return Experiment.open(into)
+        return into
     goes_on = is_interrupted(fish) or fish.status().reference_crc is None
     return current(fish) if goes_on else experiment_for(fish)
 
@@ -145,11 +286,11 @@ def _restore_without_experiment(fish: Fish) -> Output:
     params, refused = restore_params(fish)
     if not put_back and not params and current(fish) is None:
         raise in_no_experiment(fish)
-    lines = [f"{note}; it has it back" for note in notes] + refused
-    lines += [f"given back: {name} {now:g} (it had {was:g})" for name, (was, now) in params.items()]
-    lines.append("no experiment of this reference has begun: nothing to repeat; tailbeat trial run")
     document = {"experiment": None, "params": params, "notes": notes + refused}
-    return Output(document, "\n".join(lines))
+    given = [f"given back: {name} {now:g} (it had {was:g})" for name, (was, now) in params.items()]
+    nothing = "no experiment of this reference has begun: nothing to repeat; tailbeat trial run"
+    text = lines_of([f"{note}; it has it back" for note in notes], refused, given, nothing)
+    return Output(document, text)
 
 
 def _operator(
@@ -171,20 +312,17 @@ def _end_text(last: CommissionStep, limits: dict[str, float]) -> str:
     )
 
 
-def _restored_lines(found: Restored, experiment: Experiment) -> list[str]:
-    before = found.params_before
+def _restored_lines(found: Restored, experiment: Experiment) -> str:
+    before, trial = found.params_before, found.pending_trial
     given = [f"{name} {value:g} (it had {before[name]:g})" for name, value in found.params.items()]
-    given += ["the reference"] if found.reference else []
-    given += ["all that was learned"] if found.learned else []
+    given += ["the reference"] * found.reference + ["all that was learned"] * found.learned
     what = f"given back, as the experiment last had it: {', '.join(given)}"
-    lines = [what if given else "the board lacks nothing"]
-    lines += [f"tailbeat: {note}" for note in found.notes]
-    lines.append(
-        f"{experiment.name}: iteration {found.iteration} swims next, {found.battery_v:.2f} V"
+    return lines_of(
+        what if given else "the board lacks nothing",
+        [f"tailbeat: {note}" for note in found.notes],
+        f"{experiment.name}: iteration {found.iteration} swims next, {found.battery_v:.2f} V",
+        trial is not None and f"trial {trial} waits on the board and is left alone",
     )
-    if found.pending_trial is not None:
-        lines.append(f"trial {found.pending_trial} waits on the board and is left alone")
-    return lines
 
 
 def trim(

@@ -9,11 +9,19 @@ from pathlib import Path
 from typing import Annotated
 
 from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._terminal import Output, assignments, echo, print_line, progress_bar, table
+from tailbeat.app.cli._terminal import (
+    Output,
+    assignments,
+    echo,
+    lines_of,
+    print_line,
+    progress_bar,
+    table,
+)
 from tailbeat.app.demo import DemoOptions, DemoResult, identified_text, run_demo
 from tailbeat.core import law as laws
 from tailbeat.core.csv import read_column
-from tailbeat.core.printable import mm
+from tailbeat.core.printable import amplitude_rows, mm
 from tailbeat.core.selftest import run_selftest
 from tailbeat.sim.board import SimulatedBoard
 from tailbeat.sim.emulated import EmulatedBoard
@@ -101,24 +109,23 @@ def _demo_text(result: DemoResult) -> str:
     header = ["iteration", "trial", "max|e|", "RMS", "true max|e|", "saturated", "end"]
     first, last = result.trials[0], result.trials[-1]
     down = 1 - last.max_abs_error_m_s / first.max_abs_error_m_s
+    seed = "" if result.seed is None else f", seed {result.seed}"
     law = ""
     if result.identified is not None:
         law = f"law model, {identified_text(result.identified)}; else P, "
-    lines = [
-        f"plant {result.plant}, {law}gain {result.gain:g} rad s/m, lead {result.lead:g}"
-        + ("" if result.seed is None else f", seed {result.seed}")
-        + "; errors in mm/s, over beats",
+    bound = (
+        f"error bound {mm(result.floor_m_s)} mm/s: no input can do better on this plant without "
+        f"noise (least squares: {mm(result.floor_lsq_m_s)})"
+    )
+    return lines_of(
+        f"plant {result.plant}, {law}gain {result.gain:g} rad s/m, lead {result.lead:g}{seed}"
+        "; errors in mm/s, over beats",
         table(header, rows, left=(6,)),
         f"max|e| down {down * 100:.0f} % in {last.iteration} iterations; "
         "host and board agree bit for bit",
-    ]
-    if result.floor_m_s is not None:
-        lines.append(
-            f"error bound {mm(result.floor_m_s)} mm/s: no input can do better on this plant "
-            "without "
-            f"noise (least squares: {mm(result.floor_lsq_m_s)})"
-        )
-    return "\n".join([*lines, f"report {result.report}"])
+        result.floor_m_s is not None and bound,
+        f"report {result.report}",
+    )
 
 
 def fish(serve: ServeOptions) -> None:
@@ -165,11 +172,8 @@ def selftest(
     with progress_bar("building and running") as show:
         show(0.0, "")
         report = run_selftest(source)
-    failed = [
-        f"FAILED {test.suite}: {test.name} {test.message}".rstrip()
-        for test in report.tests
-        if not test.ok
-    ]
+    bad = [test for test in report.tests if not test.ok]
+    failed = [f"FAILED {test.suite}: {test.name} {test.message}".rstrip() for test in bad]
     summary = f"{report.passed} tests passed" + (f", {report.failed} failed" if failed else "")
     return Output(report.as_dict(), "\n".join([*failed, summary]), status=int(bool(failed)))
 
@@ -195,5 +199,4 @@ def law(
         "applied_rad": laws.saturate(chosen, following),
         "report": report,
     }
-    rows = [f"{beat},{float(value)!r}" for beat, value in enumerate(following)]
-    return Output(document, "\n".join(["beat,amplitude_rad", *rows]))
+    return Output(document, amplitude_rows(following))

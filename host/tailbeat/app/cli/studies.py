@@ -7,6 +7,7 @@ import shutil
 import sys
 import textwrap
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal
@@ -14,7 +15,7 @@ from typing import Any, Literal
 import typer
 
 from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._terminal import Output, echo, pick, progress_bar, table, warn
+from tailbeat.app.cli._terminal import Output, echo, lines_of, pick, progress_bar, table, warn
 from tailbeat.core.files import plain
 from tailbeat.core.parallel import cores_here
 from tailbeat.core.printable import mm
@@ -68,7 +69,12 @@ def thesis(
     Example: tailbeat sim thesis 8 --figures figures
     """
     given = checked(lengths, seed, step, iterations, m, beta, delta, uptake)
-    chosen = choose(_examples(), what, given, ExampleOptions(precision=precision))
+    chosen = choose(
+        importlib.import_module(study.REGISTRY).EXAMPLES,
+        what,
+        given,
+        ExampleOptions(precision=precision),
+    )
     if figures is not None:
         figures.mkdir(parents=True, exist_ok=True)
     orders = [
@@ -90,11 +96,6 @@ def thesis(
         "verdicts_ours": _counts(results, ours=True),
     }
     return Output(document, lambda: _thesis_text(found, set(given), _width()))
-
-
-def _examples() -> tuple[Example, ...]:
-    examples: tuple[Example, ...] = importlib.import_module(study.REGISTRY).EXAMPLES
-    return examples
 
 
 def _thesis_document(example: Example, result: Result) -> dict[str, Any]:
@@ -122,75 +123,69 @@ def _width() -> int:
 
 
 def _thesis_text(found: list[tuple[Example, Result]], given: set[str], width: int) -> str:
-    parts = []
+    texts = _paragraphs(found, given, width)
+    return "\n".join(line for text in texts for line in _wrapped(text, width) or [""])
+
+
+def _paragraphs(found: list[tuple[Example, Result]], given: set[str], width: int) -> Iterator[str]:
     for example, result in found:
-        parts += _wrapped(f"{example.id}: {example.title}; {example.law}", "  ", width)
+        yield f"{example.id}: {example.title}; {example.law}"
         if given & example.knows or result.options.precision != "double":
-            parts += _settings(example, result, width)
-        parts += _errors(result, width)
-        if result.claims:
-            parts += ["", *_claims(result.claims, width)]
-        parts += _figures(result, width)
-        parts.append("")
+            values = example.settings_of(result.options).items()
+            words = ", ".join(f"{name} {_figure(one)}" for name, one in values if one is not None)
+            yield f"settings: {words}"
+        yield _errors(result)
+        yield from _claims(result.claims, width)
+        yield from [""] if result.figures else []
+        for figure in result.figures:
+            yield f"figure {figure.path}: {figure.name}, {figure.caption}"
+            if figure.contradicts:
+                yield f"  contradicted by the text's own numbers: {figure.contradicts}"
+        yield ""
     results = [result for _, result in found]
-    judged = _in_words(_counts(results, ours=False)) or "none judged"
-    parts += _wrapped(f"claims: {judged}", "  ", width)
+    yield f"claims: {_in_words(_counts(results, ours=False)) or 'none judged'}"
     if beside := _in_words(_counts(results, ours=True)):
-        parts += _wrapped(f"beside them, not the thesis's: {beside}", "  ", width)
-    return "\n".join(parts)
+        yield f"beside them, not the thesis's: {beside}"
 
 
 def _in_words(counts: dict[str, int]) -> str:
-    if not any(counts.values()):
-        return ""
-    return ", ".join(f"{verdict} {count}" for verdict, count in counts.items())
+    words = ", ".join(f"{verdict} {count}" for verdict, count in counts.items())
+    return words if any(counts.values()) else ""
 
 
-def _settings(example: Example, result: Result, width: int) -> list[str]:
-    found = example.settings_of(result.options).items()
-    words = ", ".join(f"{name} {_figure(value)}" for name, value in found if value is not None)
-    return _wrapped(f"settings: {words}", "  ", width)
-
-
-def _errors(result: Result, width: int) -> list[str]:
+def _errors(result: Result) -> str:
     last = int(result.iterations[-1]) if len(result.iterations) else -1
     cells = [
         f"{i}: {_figure(error, '/')}"
         for i, error in zip(plain(result.iterations), plain(result.max_abs_error), strict=True)
         if i in _SHOWN or i == last
     ]
-    if result.diverged is not None:
-        cells.append(f"diverged at {result.diverged}")
-    return _wrapped("max|e| in iteration " + ", ".join(cells), "  ", width)
+    cells += [] if result.diverged is None else [f"diverged at {result.diverged}"]
+    return "max|e| in iteration " + ", ".join(cells)
 
 
-def _claims(claims: list[Claim], width: int) -> list[str]:
+def _claims(claims: list[Claim], width: int) -> Iterator[str]:
     """The thesis's, then those beside them."""
     last = _MEASURED if width >= _WIDTH else _MEASURED_NARROW
     columns = (width - _SOURCE - _VERDICT - last - 6, _SOURCE, _VERDICT, last)
-    lines: list[str] = []
     for head, ours in (("claim", False), ("beside the thesis's claims", True)):
-        some = [claim for claim in claims if claim.ours == ours]
-        if not some:
-            continue
-        lines += [""] if lines else []
-        lines += _row((head, "source", "verdict", "measured"), columns)
-        lines.append("  ".join("-" * column for column in columns))
-        lines += [line for claim in some for line in _lines(claim, columns, width)]
-    return lines
+        if some := [claim for claim in claims if claim.ours == ours]:
+            yield from ["", *_row((head, "source", "verdict", "measured"), columns)]
+            yield "  ".join("-" * column for column in columns)
+            for claim in some:
+                yield from _lines(claim, columns, width)
 
 
-def _lines(claim: Claim, columns: tuple[int, ...], width: int) -> list[str]:
+def _lines(claim: Claim, columns: tuple[int, ...], width: int) -> Iterator[str]:
     """What was measured has a line of its own below where it does not fit beside."""
     measured = _figure(plain(claim.measured))
     fits = len(measured) <= columns[-1]
     beside = measured if fits else "see below"
-    lines = _row((claim.text, claim.source, claim.verdict, beside), columns)
+    yield from _row((claim.text, claim.source, claim.verdict, beside), columns)
     if not fits:
-        lines += _wrapped(f"  measured: {measured}", "    ", width)
+        yield f"  measured: {measured}"
     if claim.note:
-        lines += _wrapped(f"  {claim.note}", "  ", width)
-    return lines
+        yield from _wrapped(f"  {claim.note}", width, "  ")
 
 
 def _row(cells: tuple[str, ...], columns: tuple[int, ...]) -> list[str]:
@@ -201,17 +196,9 @@ def _row(cells: tuple[str, ...], columns: tuple[int, ...]) -> list[str]:
     ]
 
 
-def _figures(result: Result, width: int) -> list[str]:
-    lines = []
-    for figure in result.figures:
-        lines += _wrapped(f"figure {figure.path}: {figure.name}, {figure.caption}", "  ", width)
-        if figure.contradicts:
-            against = f"  contradicted by the text's own numbers: {figure.contradicts}"
-            lines += _wrapped(against, "    ", width)
-    return ["", *lines] if lines else []
-
-
-def _wrapped(text: str, indent: str, width: int) -> list[str]:
+def _wrapped(text: str, width: int, indent: str = "") -> list[str]:
+    """Further lines stand two columns to the right of the first, unless there is an ``indent``."""
+    indent = indent or " " * (len(text) - len(text.lstrip()) + 2)
     return textwrap.wrap(text, width, subsequent_indent=indent, break_on_hyphens=False)
 
 
@@ -303,25 +290,22 @@ def _study_document(found: StudySummary) -> dict[str, Any]:
 
 
 def _study_text(found: StudySummary, about: dict[str, Any]) -> str:
-    parts = [f"{found.title}: true max|e| in mm/s, median [5 %, 95 %] over fish"]
-    parts.append(_group_table(found.lines))
-    if found.claims:
-        parts += ["", *[_claim_line(claim) for claim in found.claims]]
-    if found.failures:
-        parts += ["", *_failed_fish(found)]
-    parts.append(f"results {about.get('results', about['out'])}")
-    if "plot" in about:
-        parts.append(f"plot {about['plot']}")
-    return "\n".join(parts)
+    return lines_of(
+        f"{found.title}: true max|e| in mm/s, median [5 %, 95 %] over fish",
+        _group_table(found.lines),
+        found.claims and ["", *map(_claim_line, found.claims)],
+        found.failures and ["", *_failed_fish(found.failures)],
+        f"results {about.get('results', about['out'])}",
+        "plot" in about and f"plot {about['plot']}",
+    )
 
 
-def _failed_fish(found: StudySummary) -> list[str]:
-    first = [f"  {one}" for one in found.failures[:_FAILURES_SHOWN]]
-    more = len(found.failures) - len(first)
+def _failed_fish(failures: Sequence[object]) -> list[str]:
+    more = len(failures) - _FAILURES_SHOWN
     return [
-        f"{len(found.failures)} fish failed; claims that speak of them do not hold:",
-        *first,
-        *([f"  and {more} more: --json names all"] if more else []),
+        f"{len(failures)} fish failed; claims that speak of them do not hold:",
+        *(f"  {one}" for one in failures[:_FAILURES_SHOWN]),
+        *([f"  and {more} more: --json names all"] if more > 0 else []),
     ]
 
 

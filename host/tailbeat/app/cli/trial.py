@@ -10,15 +10,17 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from tailbeat.app.cli._experiment import (
+from tailbeat.app.cli._lazy import arg, opt
+from tailbeat.app.cli._options import (
+    Connect,
+    ConnectedFish,
+    connected,
     discard_and_keep,
     keep_in_library,
     pull_with_bar,
     sound_identified,
 )
-from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._options import Connect, ConnectedFish, connected
-from tailbeat.app.cli._terminal import TRIAL_MAX, Output, table
+from tailbeat.app.cli._terminal import TRIAL_MAX, Output, lines_of, table
 from tailbeat.board.fish import Fish
 from tailbeat.core.csv import read_speeds
 from tailbeat.core.errors import InputError, TailbeatError
@@ -154,8 +156,7 @@ def _recomputed(trial: Trial) -> dict[str, Any]:
     pairs = ((speed, trial.beats.speed_m_s), (sigma, trial.beats.sigma_m_s))
     # float32 numbers that are equal have equal bits, but for a zero's sign; NaN = not measured
     identical = all(np.array_equal(again, was, equal_nan=True) for again, was in pairs)
-    found: dict[str, Any] = plain({"speed_m_s": speed, "sigma_m_s": sigma})
-    return found | {"identical": identical}
+    return {"speed_m_s": speed, "sigma_m_s": sigma, "identical": identical}
 
 
 def _from_board(number: int | None, connect: str | None) -> tuple[Trial, Saturation | None]:
@@ -207,18 +208,17 @@ def _trial_text(trial: Trial, saturation: Saturation | None) -> str:
         for k, rad in enumerate(b.applied_rad)
     ]
     missing = not_reached(trial.executed_beats, np.isfinite(b.speed_m_s))
-    lines = [
+    header = ["beat", "amplitude deg", "reference mm/s", "speed mm/s", "+-", "error mm/s"]
+    return lines_of(
         f"trial {trial.number}, iteration {trial.iteration}, {trial.board}: {trial.end}, "
         f"{trial.executed_beats} beats; max|e| {mm(trial.max_abs_error_m_s())} mm/s, "
-        f"RMS {mm(trial.rms_error_m_s())}; speed by "
-        f"{speed_source(trial.params).name}",
+        f"RMS {mm(trial.rms_error_m_s())}; speed by {speed_source(trial.params).name}",
         _conditions_text(trial),
-        *([saturation.text] if saturation is not None else []),
-        *([missing] if missing else []),
-        *(f"note: {problem}" for problem in trial.problems),
-        table(["beat", "amplitude deg", "reference mm/s", "speed mm/s", "+-", "error mm/s"], rows),
-    ]
-    return "\n".join(lines)
+        saturation.text if saturation is not None else None,
+        missing,
+        [f"note: {problem}" for problem in trial.problems],
+        table(header, rows),
+    )
 
 
 def discard(

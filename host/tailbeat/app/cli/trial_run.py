@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ import typer
 from tailbeat.app.cli._camera import LiveCamera, TankCameraOptions, camera_report, live_camera
 from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._operator import TerminalOperator, terminal
-from tailbeat.app.cli._options import EXPERIMENTS, Connect, Into, Rest, connected, preflight_limits
-from tailbeat.app.cli._terminal import Output, command_typed, pick, progress_bar, warn
+from tailbeat.app.cli._options import EXPERIMENTS, Connect, Into, Rest, connected, verdict_lines
+from tailbeat.app.cli._terminal import Output, command_typed, lines_of, pick, progress_bar, warn
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.files import plain
@@ -36,6 +36,7 @@ from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.session.events import Event, OnEvent
 from tailbeat.session.guards import Guard, guards_of
 from tailbeat.session.outcome import Decision, DecisionKind
+from tailbeat.session.preflight_step import PreflightLimits
 from tailbeat.session.presenter import alert
 from tailbeat.session.series import Options, Round, SeriesEnd, Until, run_series
 from tailbeat.session.travel import guarded_trial, travel_next
@@ -55,7 +56,9 @@ class GuideOptions:
         show_default=False,
     )
     rest: Rest = None
-    until: str | None = opt("Run trials until then; default: 1 kept trial.", "converged|battery|N")
+    until: Until | None = opt(
+        "Run trials until then; default: 1 kept trial.", "converged|battery|N", by=Until.parse
+    )
     into: Into = None
     then: DecisionKind | None = opt(
         "Answer for every trial, given now; one you stop by a key is asked about.",
@@ -65,23 +68,18 @@ class GuideOptions:
     learn: bool = opt("Learn from what is kept at once.", name="--learn/--no-learn", default=True)
 
     def guided(self) -> bool:
-        """Whether it is guided. Raises typer.BadParameter for what contradicts itself, InputError
-        for what is none."""
+        """Whether it is guided. Raises typer.BadParameter for what contradicts itself."""
         given = [self.rest, self.until, self.into, self.then]
-        asked = any(value is not None for value in given)
-        if self.guide is False and (asked or not self.learn or self.reason is not None):
+        asked = any(value is not None for value in given) or not self.learn
+        if self.guide is False and (asked or self.reason is not None):
             raise typer.BadParameter(
                 "--no-guide goes without --rest, --until, --into, --then, --reason and --no-learn"
             )
         if self.reason is not None and self.then is None:
             raise typer.BadParameter("--reason belongs to --then repeat or --then discard")
         self.answer()
-        self._until()
-        if self.into is not None:
-            Experiment.open(self.into)
-        if self.guide is not None:
-            return self.guide
-        return asked or not self.learn or (sys.stdin.isatty() and sys.stderr.isatty())
+        at_terminal = sys.stdin.isatty() and sys.stderr.isatty()
+        return asked or at_terminal if self.guide is None else self.guide
 
     def answer(self) -> Decision | None:
         """What was decided beforehand."""
@@ -92,17 +90,13 @@ class GuideOptions:
         except InputError as error:
             raise typer.BadParameter(f"--then {self.then} needs --reason WHY") from error
 
-    def _until(self) -> Until:
-        return Until() if self.until is None else Until.parse(self.until)
-
     def options(self) -> Options:
         """As the series takes them."""
-        answer = self.answer()
         return Options(
-            until=self._until(),
-            wanted=preflight_limits(self.rest),
+            until=self.until or Until(),
+            wanted=self.rest or PreflightLimits(),
             learn=self.learn,
-            counts=("keep",) if answer is None else (answer.kind,),
+            counts=(self.then or "keep",),
             typed=command_typed(),
         )
 
@@ -125,12 +119,14 @@ def run(
     """
     camera.check(video)
     guided = given.guided()
-    with (
-        _interrupt_reported(),
-        connected(connect) as fish,
-        live_camera(fish, camera, video) as live,
-    ):
-        return _run_guided(fish, live, given) if guided else _run_once(fish, live, camera.latency)
+    try:
+        with connected(connect) as fish, live_camera(fish, camera, video) as live:
+            if guided:
+                return _run_guided(fish, live, given)
+            return _run_once(fish, live, camera.latency)
+    except KeyboardInterrupt as interrupt:  # also before a trial begins, and when it comes twice
+        warn(f"{str(interrupt) or 'stopped by Ctrl-C'}; nothing is lost")
+        raise typer.Exit(130) from None
 
 
 def _run_once(fish: Fish, live: LiveCamera, latency_s: float) -> Output:
@@ -138,26 +134,14 @@ def _run_once(fish: Fish, live: LiveCamera, latency_s: float) -> Output:
     with progress_bar("swimming") as show:
         outcome = run_trial(fish, live.camera, _follower(fish, live, show), guard)
     saturation = _saturation(fish, outcome)
-    document, lines = plain(outcome) | {"saturation": saturation}, [_outcome_text(outcome)]
-    if saturation is not None:
-        lines.append(saturation.text)
+    document: dict[str, Any] = plain(outcome) | {"saturation": saturation}
+    camera = ""
     if live.video is not None:
-        number = outcome.number
-        document["camera"], text = camera_report(fish, live.video, number, latency_s)
-        lines.append(text)
+        report = camera_report(fish, live.video, outcome.number, latency_s)
+        document["camera"], camera = report
+    text = lines_of(_outcome_text(outcome), saturation and saturation.text, camera)
     status = 130 if outcome.interrupted else int(outcome.end != "complete")
-    return Output(document, "\n".join(lines), status)
-
-
-@contextmanager
-def _interrupt_reported() -> Iterator[None]:
-    """Also before a trial begins, and when Ctrl-C comes twice."""
-    try:
-        yield
-    except KeyboardInterrupt as interrupt:
-        why = str(interrupt) or "stopped by Ctrl-C"
-        warn(f"{why}; nothing is lost")
-        raise typer.Exit(130) from None
+    return Output(document, text, status)
 
 
 def _guarded(fish: Fish, guard: Guard | None) -> Guard:
@@ -201,18 +185,15 @@ def _outcome_text(outcome: TrialOutcome) -> str:
         for beat in outcome.beats
         if beat.speed_m_s is not None
     ]
-    worst = f", max|e| {mm(max(errors))} mm/s" if errors else ", no speeds measured"
-    line = f"trial {outcome.number}, iteration {outcome.iteration}: {outcome.end}, "
+    worst = f"max|e| {mm(max(errors))} mm/s" if errors else "no speeds measured"
     unmeasured = outcome.executed_beats - len(errors)
     missing = f" ({unmeasured} without a speed)" if errors and unmeasured > 0 else ""
-    line += f"{outcome.executed_beats} beats{missing}{worst}"
-    return line + ("" if outcome.end == "complete" else f"\nnext: {_next_words(bool(errors))}")
-
-
-def _next_words(measured: bool) -> str:
-    """After a trial that did not end by itself."""
     learn = ", then tailbeat learn (the measured beats count) or tailbeat trial discard"
-    return "tailbeat board clear" + (learn if measured else "")
+    return lines_of(
+        f"trial {outcome.number}, iteration {outcome.iteration}: {outcome.end}, "
+        f"{outcome.executed_beats} beats{missing}, {worst}",
+        outcome.end != "complete" and f"next: tailbeat board clear{learn if errors else ''}",
+    )
 
 
 def _run_guided(fish: Fish, live: LiveCamera, given: GuideOptions) -> Output:
@@ -220,9 +201,8 @@ def _run_guided(fish: Fish, live: LiveCamera, given: GuideOptions) -> Output:
     options = given.options()
     with terminal() as (display, keys):
         experiment = _experiment_for(fish, given.into, lambda text: display.keep(text, loud=True))
-        operator = TerminalOperator(
-            display, keys, given.answer(), _keep_alive(fish), on_event=live.follow
-        )
+        idle = partial(_keep_alive, fish)
+        operator = TerminalOperator(display, keys, given.answer(), idle, on_event=live.follow)
         end = run_series(fish, experiment, operator, options, live.camera, live.guard)
     until = options.until
     good = (*_GOOD_ENDS, "battery") if until.trials is None and not until.converged else _GOOD_ENDS
@@ -232,15 +212,14 @@ def _run_guided(fish: Fish, live: LiveCamera, given: GuideOptions) -> Output:
     return Output(_document(end, experiment), _text(end, good=not status), status)
 
 
-def _experiment_for(fish: Fish, into: Path | None, tell: Callable[[str], None]) -> Experiment:
+def _experiment_for(fish: Fish, into: Experiment | None, tell: Callable[[str], None]) -> Experiment:
     """The folder that was named, else the one this fish is in, else a new one. Raises
     InputError."""
     require_own(fish)
     if into is not None:
-        named = Experiment.open(into)
-        require_same(fish, named)
-        use(fish, named)
-        return named
+        require_same(fish, into)
+        use(fish, into)
+        return into
     if (found := current(fish)) is not None:
         try:
             require_same(fish, found)
@@ -254,14 +233,10 @@ def _experiment_for(fish: Fish, into: Path | None, tell: Callable[[str], None]) 
     return made
 
 
-def _keep_alive(fish: Fish) -> Callable[[], None]:
+def _keep_alive(fish: Fish) -> None:
     """While a question waits: heartbeats go out, what comes in is taken."""
-
-    def pump() -> None:
-        with contextlib.suppress(TailbeatError):
-            fish.link.flush()
-
-    return pump
+    with contextlib.suppress(TailbeatError):
+        fish.link.flush()
 
 
 def _document(end: SeriesEnd, experiment: Experiment) -> dict[str, Any]:
@@ -289,15 +264,14 @@ def _swim_document(one: Round) -> dict[str, Any]:
 
 def _text(end: SeriesEnd, good: bool) -> str:
     """``good``: with how it ended; otherwise that is an error."""
+    verdict = end.verdict
     lines = [
         f"trial {one.recorded.outcome.number}, iteration {one.recorded.outcome.iteration}: "
         f"{one.decision.kind}, max|e| {mm(one.recorded.max_abs_error_m_s)} mm/s"
         for one in end.rounds
     ]
-    if end.verdict is not None:
-        lines.append(end.verdict.words)
-        if end.verdict.saturation is not None and not end.verdict.stop:
-            lines.append(end.verdict.saturation.text)
-    if good:
-        lines.append(f"ended ({end.why}): {end.words}")
-    return "\n".join(lines)
+    return lines_of(
+        lines,
+        verdict and [verdict.words, *([] if verdict.stop else verdict_lines(verdict))],
+        good and f"ended ({end.why}): {end.words}",
+    )

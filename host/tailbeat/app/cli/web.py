@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
+from functools import partial
 from threading import Event, Thread
 
 from tailbeat.app.cli._camera import CameraOptions, live_camera
@@ -11,7 +12,7 @@ from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._options import EXPERIMENTS, Connect, Root
 from tailbeat.app.cli._terminal import json_asked, print_line
 from tailbeat.app.web.server import listen, serve
-from tailbeat.app.web.worker import OpenCamera, Worker, simulated_camera
+from tailbeat.app.web.worker import Worker, simulated_camera
 from tailbeat.board.connect import open_transport
 from tailbeat.board.fish import Fish
 from tailbeat.core.frames import Camera
@@ -45,7 +46,7 @@ def web(
     with contextlib.closing(place.listener), _board(connect, speed) as make:
         urls = "\n".join(f"the page: {url}" for url in place.urls)
         print_line({"urls": place.urls, "port": place.port}, f"{urls}\n(Ctrl-C ends it)")
-        serve(Worker(make, root, _eyes(camera)), place, open_ and not json_asked.get())
+        serve(Worker(make, root, partial(_eyes, camera)), place, open_ and not json_asked.get())
 
 
 @contextlib.contextmanager
@@ -70,16 +71,12 @@ def _board(url: str | None, speed: float) -> Iterator[Callable[[], Fish]]:
         server.close()
 
 
-def _eyes(options: CameraOptions) -> OpenCamera:
+@contextlib.contextmanager
+def _eyes(options: CameraOptions, fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]:
     """The camera of ``trial run``, opened for each series; that of a simulated board by itself."""
-
-    @contextlib.contextmanager
-    def open_eyes(fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]:
-        with live_camera(fish, options) as live:
-            if live.camera is not None:
-                yield live.camera, live.guard
-                return
-            with simulated_camera(fish) as (camera, _):
-                yield camera, live.guard
-
-    return open_eyes
+    with live_camera(fish, options) as live:
+        if live.camera is not None:
+            yield live.camera, live.guard
+            return
+        with simulated_camera(fish) as (camera, _):
+            yield camera, live.guard

@@ -225,7 +225,8 @@ def test_no_command_loads_scipy_or_matplotlib_before_it_runs() -> None:
     heavy, studies = ["scipy", "matplotlib", "pyarrow"], ["sim thesis", "sim montecarlo"]
     code = (
         "import sys; from tailbeat.app.cli.app import COMMANDS; "
-        f"[one.load() for name, one in COMMANDS.items() if not one.needs and name not in {studies}]"
+        "[one.load(name) for name, one in COMMANDS.items() "
+        f"if not one.needs and name not in {studies}]"
         f"; sys.exit(', '.join(m for m in {heavy} if m in sys.modules) or 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
