@@ -76,7 +76,7 @@ class DemoOptions:
 
 @dataclass(frozen=True)
 class DemoTrial:
-    """One row of the result; None where only a simulator in this process could tell."""
+    """One row of the result; None where only a simulator in this process knows it."""
 
     iteration: int
     trial: int  # 0 = not executed
@@ -290,7 +290,7 @@ class _Demo:
         )
 
     def _truth(self) -> tuple[float | None, float | None]:
-        """max|e| of the last swim by the simulator's own state: over beats, and at 25 Hz."""
+        """max|e| of the last trial by the simulator's own state: over beats, and at 25 Hz."""
         if self.sim is None:
             return None, None
         beats = self.sim.world.true_beats()[: self.reference.beats]

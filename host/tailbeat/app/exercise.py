@@ -74,7 +74,7 @@ class Exercise:
 
 
 @dataclass(frozen=True)
-class _Swim:
+class _Filmed:
     frames: list[CameraFrame]
     speed: tuple[F64, F64]  # times and speeds
     trial: int
@@ -85,7 +85,7 @@ class _Swim:
 def make_exercise(
     film: Path, options: ExerciseOptions, progress: Progress = lambda done, text: None
 ) -> Exercise:
-    """Swims ``options.reference`` once, about as fast as it says, and writes ``film``, its
+    """Runs a trial along ``options.reference``, about as fast as it says, and writes ``film``, its
     .truth.csv, its .tank.json (the calibration) and the trial's file, its .ulg, beside it: all of
     them or none. The trial waits for uploaded speeds.
 
@@ -96,7 +96,7 @@ def make_exercise(
     with _part_beside(film) as name:
         folder = Path(name)
         written = folder / film.name
-        trial, fps = _swim(options, written.with_suffix(_LOG), progress)
+        trial, fps = _run(options, written.with_suffix(_LOG), progress)
         _draw(written, trial, options.scene, fps, progress)
         _write_truth(written.with_suffix(_TRUTH), trial)
         options.scene.calibration().save(written.with_suffix(_TANK))
@@ -148,7 +148,7 @@ class _Watcher:
         return np.array(list(self._speed)), np.array(list(self._speed.values()))
 
 
-def _swim(options: ExerciseOptions, log_file: Path, progress: Progress) -> tuple[_Swim, float]:
+def _run(options: ExerciseOptions, log_file: Path, progress: Progress) -> tuple[_Filmed, float]:
     url = f"sim?{urlencode({'plant': options.plant, 'seed': options.seed})}"
     camera = {"camera_exposure_s": options.scene.exposure_s, **options.overrides}
     with Fish.connect(url, **camera) as fish:
@@ -165,7 +165,7 @@ def _swim(options: ExerciseOptions, log_file: Path, progress: Progress) -> tuple
         begin_s = log.start_us * 1e-6 + board.time_s - board.board_time_s
         true = board.world.true_beats()[: options.reference.beats]
         kept = _cut(watcher.kept, begin_s, options)
-        return _Swim(kept, watcher.speed(), number, begin_s, true), watcher.fps
+        return _Filmed(kept, watcher.speed(), number, begin_s, true), watcher.fps
 
 
 def _follower(beats: int, progress: Progress) -> OnEvent:
@@ -173,7 +173,7 @@ def _follower(beats: int, progress: Progress) -> OnEvent:
 
     def follow(event: Event) -> None:
         nonlocal reached
-        if isinstance(event, BeatEvent) and event.beat >= reached:  # each is told twice
+        if isinstance(event, BeatEvent) and event.beat >= reached:  # each is reported twice
             reached = event.beat + 1
             progress(_SWIM_SHARE * reached / beats, f"swimming, beat {reached} of {beats}")
 
@@ -181,7 +181,7 @@ def _follower(beats: int, progress: Progress) -> OnEvent:
 
 
 def _prepare(fish: Fish, board: SimulatedBoard, reference: Reference) -> None:
-    """An amplitude for each beat that gives about the wanted speed, by the plant's steady line."""
+    """The amplitude of each beat that gives about its speed, by the plant's steady line."""
     fish.params.set("AMP_MAX_RAD", _AMPLITUDE_MAX_RAD)
     fish.params.set(speed_source.PARAMETER, source_number("upload"))
     fish.upload_reference(reference)
@@ -218,7 +218,7 @@ def _cut(frames: list[CameraFrame], begin_s: float, options: ExerciseOptions) ->
     return kept
 
 
-def _draw(path: Path, trial: _Swim, scene: Scene, fps: float, progress: Progress) -> None:
+def _draw(path: Path, trial: _Filmed, scene: Scene, fps: float, progress: Progress) -> None:
     painter = Painter(scene)
     count = len(trial.frames)
     with FilmWriter(path, scene.size_px, fps) as writer:
@@ -231,7 +231,7 @@ def _draw(path: Path, trial: _Swim, scene: Scene, fps: float, progress: Progress
             progress(part, f"drawing, picture {done} of {count}")
 
 
-def _write_truth(path: Path, trial: _Swim) -> None:
+def _write_truth(path: Path, trial: _Filmed) -> None:
     """As drawn, the camera's noise included; the speed is the fish's own."""
     first_s = trial.frames[0].time_s
     with replacing_text(path) as file:

@@ -77,7 +77,7 @@ class CameraOptions(MarkerOptions):
         return None
 
     def check(self, video: Path | None = None) -> None:
-        """What can be told before there is a fish. Raises typer.BadParameter, InputError."""
+        """What is known before there is a fish. Raises typer.BadParameter, InputError."""
         self.on_fish()
         if self.camera is not None and self.positions:
             tcp_address(self.camera)

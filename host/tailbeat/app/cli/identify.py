@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
+from numpy.typing import ArrayLike
 
 from tailbeat.app.cli._camera import CameraOptions, LiveCamera, TankCameraOptions, live_camera
 from tailbeat.app.cli._lazy import arg, opt
@@ -35,10 +35,6 @@ from tailbeat.session.events import Event
 from tailbeat.session.identify import IdentificationHooks, identify_fish, prior_of, set_params
 from tailbeat.session.preflight import prepare
 from tailbeat.session.preflight_step import GivenUp, PreflightLimits, countdown
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
 
 _FISH = "With --table: the fish's "
 

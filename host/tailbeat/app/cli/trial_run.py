@@ -244,12 +244,12 @@ def _document(end: SeriesEnd, experiment: Experiment) -> dict[str, Any]:
         "why": end.why,
         "words": end.words,
         "experiment": experiment.folder,
-        "swims": [_swim_document(one) for one in end.rounds],
+        "swims": [_trial_document(one) for one in end.rounds],
         "verdict": end.verdict,
     }
 
 
-def _swim_document(one: Round) -> dict[str, Any]:
+def _trial_document(one: Round) -> dict[str, Any]:
     recorded = one.recorded
     return {
         "trial": recorded.outcome.number,

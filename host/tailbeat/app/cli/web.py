@@ -46,7 +46,7 @@ def web(
     with contextlib.closing(place.listener), _board(connect, speed) as make:
         urls = "\n".join(f"the page: {url}" for url in place.urls)
         print_line({"urls": place.urls, "port": place.port}, f"{urls}\n(Ctrl-C ends it)")
-        serve(Worker(make, root, partial(_eyes, camera)), place, open_ and not json_asked.get())
+        serve(Worker(make, root, partial(_camera, camera)), place, open_ and not json_asked.get())
 
 
 @contextlib.contextmanager
@@ -72,7 +72,7 @@ def _board(url: str | None, speed: float) -> Iterator[Callable[[], Fish]]:
 
 
 @contextlib.contextmanager
-def _eyes(options: CameraOptions, fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]:
+def _camera(options: CameraOptions, fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]:
     """The camera of ``trial run``, opened for each series; that of a simulated board by itself."""
     with live_camera(fish, options) as live:
         if live.camera is not None:
