@@ -76,7 +76,7 @@ def test_the_numbers_are_those_of_the_logs(recorded: Experiment, analysis: Analy
 
 
 def test_the_battery_is_that_from_before_the_tail_loaded_it(copy: Experiment) -> None:
-    """A log begins later; of a trial that no ritual preceded it is all there is."""
+    """A log begins later; of a trial that no preflight check preceded it is all there is."""
     path = copy.folder / "journal.jsonl"
     entries = [json.loads(line) for line in path.read_text().splitlines()]
     trials = [entry for entry in entries if entry["what"] == "swum"]

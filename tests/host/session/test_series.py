@@ -115,7 +115,7 @@ def experiment(fish: Fish, tmp_path: Path) -> Experiment:
 
 @pytest.fixture
 def trial(fish: Fish, experiment: Experiment) -> Callable[..., SeriesEnd]:
-    """A series without a ritual."""
+    """A series without preflight checks."""
 
     def call(operator: Script, trials: int | None = 1, **options: Any) -> SeriesEnd:
         options = {"until": Until(trials), "wanted": None, **options}
@@ -837,7 +837,7 @@ def test_a_battery_that_falls_is_told_and_journalled(
 # the preflight checks
 
 
-def test_a_ritual_that_is_given_up(
+def test_checks_that_are_given_up(
     fish: Fish,
     board: SimBoard,
     experiment: Experiment,
@@ -855,7 +855,7 @@ def test_a_ritual_that_is_given_up(
     require_goes_on(fish, board, experiment, trial, 0)
 
 
-def test_with_the_ritual(
+def test_with_the_checks(
     fish: Fish, board: SimBoard, experiment: Experiment, trial: Callable[..., SeriesEnd]
 ) -> None:
     from tailbeat.session.preflight_step import PreflightLimits
@@ -875,7 +875,7 @@ def test_with_the_ritual(
 
 
 @pytest.mark.parametrize("most", [3, pytest.param(60, marks=pytest.mark.soak)])
-def test_ctrl_c_in_any_call_of_the_person_with_the_ritual(
+def test_ctrl_c_in_any_call_of_the_person_with_the_checks(
     fish: Fish, board: SimBoard, experiment: Experiment, trial: Callable[..., SeriesEnd], most: int
 ) -> None:
     from tailbeat.session.preflight_step import PreflightLimits

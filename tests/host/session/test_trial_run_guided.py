@@ -354,7 +354,7 @@ def test_the_enter_after_a_letter_stops_nothing() -> None:
             assert operator.wants_abort(), "one is forgiven, not two"
 
 
-def test_what_was_typed_before_the_ritual_is_forgotten() -> None:
+def test_what_was_typed_before_the_countdown_is_forgotten() -> None:
     keys = Typed("")
     TerminalOperator(Display(), keys).tell(StepProgress("board", "idle", True, None))
     assert keys.forgotten == 1
