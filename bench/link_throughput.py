@@ -22,8 +22,7 @@ from tailbeat.core import records
 from tailbeat.link.ftp.wire import DATA_BYTES
 from tailbeat.link.impaired import Corrupt, Drop, Fault, ImpairedLine, hc05
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import CONSOLE, SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import CONSOLE, SimBoard, SimTransport
 
 LINE_BYTES_PER_S = 11520
 PATH = "/trials/0001.ulg"

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from tailbeat.link import _dialect as mavlink
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard
 
 FAST, SLOW = 115200, 9600
 Burst = tuple[float, bytes]  # when its first bit leaves, and its bytes back to back

@@ -14,10 +14,9 @@ from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Framer, Message
 from tailbeat.link.serial import SerialTransport, likely_ports
 from tailbeat.link.sockets import TcpTransport, UdpTransport
 from tailbeat.link.transport import Hearing, Transport
-from tailbeat.sim.board import CONSOLE, RADIO, SimTransport
+from tailbeat.sim.board import CONSOLE, RADIO, SimBoard, SimTransport
 from tailbeat.sim.config import DEFAULT_SEED
 from tailbeat.sim.emulated import EmulatedBoard
-from tailbeat.sim.native import SimBoard
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 5760
 _HELLO_S = 0.4

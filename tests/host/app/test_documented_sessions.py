@@ -19,8 +19,7 @@ from tailbeat.core import reference
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_beats, plant_config
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 ROOT = Path(__file__).parents[3]
 SEEDS = random.Random("documented sessions").sample(range(1, 1_000_000), 20)

@@ -28,8 +28,7 @@ from tailbeat.experiment.current import make
 from tailbeat.experiment.export import export
 from tailbeat.link.ftp.client import RemoteFile, _remote_file
 from tailbeat.report.paper import write_report
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 from tailbeat.sim.server import parse_listen
 
 from ..swum_experiment import REFERENCE, swim_one

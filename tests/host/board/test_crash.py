@@ -13,8 +13,7 @@ from tailbeat.board.flash.programs import places
 from tailbeat.board.memory import decode_crash
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 ADDR2LINE = """#!/bin/sh
 [ "$4" = tailbeat.elf ] || { echo "what is $4?" >&2; exit 1; }

@@ -31,8 +31,7 @@ from tailbeat.link import serial
 from tailbeat.link.keystore import KeyStore, StoredKey
 from tailbeat.link.mavlink import Framer
 from tailbeat.link.transport import Transport
-from tailbeat.sim.board import CONSOLE, SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import CONSOLE, SimBoard, SimTransport
 
 NAMES = [
     "port", "board", "firmware", "link", "imu", "battery", "storage", "key", "clock", "state",

@@ -31,8 +31,7 @@ from tailbeat.link.keystore import KeyStore
 from tailbeat.link.serial import USB_IDS, PortKind
 from tailbeat.link.transport import START_LINE
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, SimBoard, SimTransport
 
 ACM, USB, CLONE = "/dev/ttyACM0", "/dev/ttyACM1", "/dev/ttyUSB0"
 

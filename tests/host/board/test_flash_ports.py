@@ -30,8 +30,7 @@ from tailbeat.core.errors import ConnectError, InputError
 from tailbeat.experiment.folder import backup_places
 from tailbeat.link.serial import USB_IDS, PortKind, SerialTransport, likely_ports
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import FLASH_BYTES, SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import FLASH_BYTES, SimBoard, SimTransport
 from tailbeat.sim.server import SimServer
 
 ACM = "/dev/ttyACM0"

@@ -17,8 +17,7 @@ from tailbeat.core.law_memory import LawMemory, Memory, PastTrial
 from tailbeat.session.next_input import dry_run
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 MEAN, WINDOW = PAST_KINDS["mean"].number, PAST_KINDS["window"].number
 

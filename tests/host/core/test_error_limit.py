@@ -18,8 +18,7 @@ from tailbeat.core.trial_checks import never_corrected, never_measured, not_reac
 from tailbeat.core.trial_file import read_trial
 from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 BEATS = 12
 LIMIT_M_S = 0.02

@@ -23,8 +23,7 @@ from tailbeat.experiment.folder import Experiment
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.messages import text_event
 from tailbeat.link.params import Parameters
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 HOSTILE = "\x1b]0;x\x07\x1b[2J\r\x9b31m\u202eevil\u2066\u200f\u2028\x00\x7f\ud800"
 SAFE = r"\x1b]0;x\x07\x1b[2J\r\x9b31m\u202eevil\u2066\u200f\u2028\x00\x7f\ud800"  # one line, ASCII

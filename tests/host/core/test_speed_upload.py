@@ -19,8 +19,7 @@ from tailbeat.core.native import ffi, lib
 from tailbeat.core.trial_file import read_trial
 from tailbeat.sensors.camera import speed as smoother
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 Floats = F64
 Write = Callable[[str], Path]

@@ -35,8 +35,7 @@ from tailbeat.report.paper import draw_all
 from tailbeat.sensors.camera.calibration.file import load_calibration
 from tailbeat.session.log import held_before
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 Json = Any
 

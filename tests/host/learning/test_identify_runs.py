@@ -41,8 +41,7 @@ from tailbeat.link.messages import BeatEvent, Event
 from tailbeat.session.identify import IdentificationHooks, identify_fish, set_params
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 Array = F64
 

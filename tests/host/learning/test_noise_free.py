@@ -11,7 +11,7 @@ import pytest
 from tailbeat.board.fish import Fish
 from tailbeat.core.reference import from_text
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard
 
 from ..tank_day import Day, Tank
 

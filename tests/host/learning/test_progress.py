@@ -22,8 +22,7 @@ from tailbeat.learning.assessment import progress_of, series_of
 from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 TRIALS = 4
 Run = Callable[..., tuple[str, str]]

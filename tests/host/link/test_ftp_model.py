@@ -16,8 +16,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from tailbeat.core.records import crc32
 from tailbeat.link import _dialect as mavlink
-from tailbeat.sim.board import CONSOLE, RADIO
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import CONSOLE, RADIO, SimBoard
 
 NONE, TERMINATE, RESET, LIST, OPEN, READ, CREATE, WRITE, REMOVE = range(9)
 OPEN_TO_WRITE, CRC, BURST, ACK, NAK = 11, 14, 15, 128, 129

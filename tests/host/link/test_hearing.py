@@ -15,8 +15,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import ConnectError
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.transport import Hearing
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 from ..radio_model import FAST, SLOW, Burst, Recorded, board_bursts, flat, heartbeat, received
 

@@ -10,8 +10,7 @@ import pytest
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.link.mavlink import Message
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 VERDICT_S = 5.0
 STREAMING = 3

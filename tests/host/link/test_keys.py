@@ -25,8 +25,7 @@ from tailbeat.link.keystore import (
     write_private,
 )
 from tailbeat.link.signing import Signing
-from tailbeat.sim.board import CONSOLE, SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import CONSOLE, SimBoard, SimTransport
 
 BOARD = "00112233445566778899aabbccddeeff"
 KEY = StoredKey(bytes(range(1, 33)), BOARD, "fish", "2026-01-01T00:00:00+00:00", link_id=9)

@@ -13,8 +13,7 @@ from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import read_trial
 from tailbeat.link.impaired import Delay, ImpairedLine
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 SEEDS = 6
 RMS_MAX_M_S = 1.5e-3

@@ -32,8 +32,7 @@ from tailbeat.session.log import SessionLog, write_held
 from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.series import Options, Until, run_series
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 SPEEDS = [0.03, 0.06, 0.07, 0.06, 0.03]
 OTHER = [0.02, 0.05, 0.05, 0.02]

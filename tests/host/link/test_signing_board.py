@@ -8,8 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from tailbeat.link import _dialect as mavlink
-from tailbeat.sim.board import CONSOLE, RADIO
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import CONSOLE, RADIO, SimBoard
 
 KEY = hashlib.sha256(b"a fish of ours").digest()
 OTHER = hashlib.sha256(b"somebody else's").digest()

@@ -32,8 +32,7 @@ from tailbeat.link.impaired import (
 from tailbeat.link.mavlink import TRIES
 from tailbeat.session.next_input import dry_run
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 PATH = "/in/speeds.bin"
 BEATS, TRIALS = 6, 6

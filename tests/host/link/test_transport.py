@@ -19,8 +19,7 @@ from tailbeat.link import _dialect as mavlink
 from tailbeat.link.sockets import TcpTransport
 from tailbeat.link.transport import Transport
 from tailbeat.sensors.camera.render.source import RemoteCamera, SimulatedCamera
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 
 def take(transport: Transport, count: int) -> bytes:

@@ -23,7 +23,7 @@ from tailbeat.report.page import Picture
 from tailbeat.report.paper import Drawing, write_report
 from tailbeat.report.replay import Replay, replay
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard
 from tailbeat.sim.server import SimServer
 
 from ..swum_experiment import BEATS, REFERENCE, swim_experiment, writable

@@ -35,8 +35,7 @@ from tailbeat.experiment.current import begin, set_and_save
 from tailbeat.experiment.folder import Experiment
 from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.session.outcome import Decision, RecordedTrial
-from tailbeat.sim.board import CONSOLE, SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import CONSOLE, SimBoard, SimTransport
 
 from ..tank_day import Day, Tank
 

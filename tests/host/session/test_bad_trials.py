@@ -27,7 +27,7 @@ from tailbeat.link.messages import LearnReport
 from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard
 
 TRIALS = 10
 SEEDS = range(1, 21)

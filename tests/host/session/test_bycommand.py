@@ -27,8 +27,7 @@ from tailbeat.session.guards import stop_when
 from tailbeat.session.log import SessionLog
 from tailbeat.session.outcome import BY_HAND, Decision, StopKind, StopReason
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 HILL = Reference(1.0, (0.07 * np.sin(np.linspace(0.2, 2.9, 6))).astype(np.float32), "hill")
 

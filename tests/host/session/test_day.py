@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
+from tailbeat.sim.board import SimBoard
 from tailbeat.sim.emulated import EmulatedBoard
-from tailbeat.sim.native import SimBoard
 
 from ..tank_day import Day, Tank
 

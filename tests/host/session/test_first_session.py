@@ -32,8 +32,7 @@ from tailbeat.session.log import Drain
 from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.status import fall_per_swim, status_of, swims_left, words
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 THESIS = reference.thesis()
 DEFAULTS = {name: known.default for name, known in known_parameters().items()}

@@ -37,8 +37,7 @@ from tailbeat.session.resume import Restored, repeat_best, restore
 from tailbeat.session.series import Options, Until, run_series
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trim import find_centre
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 from ..conftest import BadRadio
 

@@ -43,8 +43,7 @@ from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.preflight_step import GivenUp
 from tailbeat.session.series import Options, SeriesEnd, Until, run_series
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 KEEP, AGAIN = Decision("keep"), Decision("repeat", "once more")
 BUMPED = Decision("discard", "bumped the wall")

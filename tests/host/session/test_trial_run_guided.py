@@ -29,8 +29,7 @@ from tailbeat.experiment.folder import Experiment
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.events import Countdown, StepProgress, TrialStarted
 from tailbeat.session.outcome import BY_HAND, Decision, RecordedTrial, StopKind, StopReason
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 Command = Callable[..., tuple[int, Any, str]]
 SPEEDS = [0.03, 0.06, 0.07, 0.06, 0.03]

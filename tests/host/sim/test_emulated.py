@@ -14,9 +14,8 @@ import pytest
 
 from tailbeat.board import connect as find
 from tailbeat.core.errors import InputError
-from tailbeat.sim.board import CONSOLE, RADIO
+from tailbeat.sim.board import CONSOLE, RADIO, SimBoard
 from tailbeat.sim.emulated import ID_PREFIX, EmulatedBoard, EmulationError
-from tailbeat.sim.native import SimBoard
 from tailbeat.sim.world import FRAME_US, Wires, World
 from vboard.core.bus import BusViolation
 from vboard.core.clock import TICKS_PER_S, TICKS_PER_US, Clock

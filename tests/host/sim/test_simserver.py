@@ -20,7 +20,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.board.provision import connect_notice, set_key
 from tailbeat.core import reference
 from tailbeat.core.errors import ConnectError, InputError, Refused
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard
 from tailbeat.sim.server import SimServer, parse_listen
 
 SPEED = 40.0

@@ -18,8 +18,7 @@ from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport, SimulatedBoard
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport, SimulatedBoard
 from tailbeat.sim.world import VERBS, BoardControls, CameraFrame, CommandLines, World
 
 US_PER_RAD = 572.9578

@@ -23,9 +23,8 @@ from tailbeat.core import law as laws
 from tailbeat.core.csv import read_column
 from tailbeat.core.printable import amplitude_rows, mm
 from tailbeat.core.selftest import run_selftest
-from tailbeat.sim.board import SimulatedBoard
+from tailbeat.sim.board import SimBoard, SimulatedBoard
 from tailbeat.sim.emulated import EmulatedBoard
-from tailbeat.sim.native import SimBoard
 from tailbeat.sim.server import Addresses, SimServer, parse_listen
 
 Set = Annotated[

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from tailbeat.app.cli import run
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 
 @pytest.fixture(scope="module")

@@ -33,8 +33,7 @@ from tailbeat.experiment.current import (
 )
 from tailbeat.experiment.folder import Experiment, copy_state, held_state
 from tailbeat.report.paper import Written
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 from ...swum_experiment import REFERENCE, swim_experiment, writable
 

@@ -30,8 +30,7 @@ from tailbeat.link.mavlink import Framer
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.trial import run_trial
 from tailbeat.sim import emulated
-from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, SimBoard, SimTransport
 
 
 class Tap:

@@ -21,8 +21,7 @@ from tailbeat.learning.transfer import similarity, transfer
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.transfer import plan, upload_transfer
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 OLD = "trapezoid:0.06,4,6"
 SLOWER = "trapezoid:0.048,5,7.5"

@@ -23,8 +23,7 @@ from tailbeat.sensors.camera.source.picture import TimedImage
 from tailbeat.sensors.camera.sync import Sync
 from tailbeat.sensors.camera.tracking.live import VideoCamera
 from tailbeat.sensors.camera.tracking.tracker import TrackedImage
-from tailbeat.sim.board import SimTransport, SimulatedBoard
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport, SimulatedBoard
 from tailbeat.sim.world import CameraFrame
 
 SIZE = (64, 48)

@@ -24,8 +24,7 @@ from tailbeat.link import _dialect as mavlink
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.preflight_step import PreflightLimits
 from tailbeat.session.series import SeriesEnd
-from tailbeat.sim.board import SimTransport
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard, SimTransport
 
 SHORT = "trapezoid:0.06,2,4"  # 8 beats
 PATIENCE_S = 600.0  # wall time; a bound on what hangs, never waited for when all is well

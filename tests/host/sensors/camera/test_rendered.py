@@ -25,7 +25,7 @@ from tailbeat.sensors.camera.source.film import Film
 from tailbeat.sensors.camera.source.picture import Image
 from tailbeat.sensors.camera.sync import sync, sync_by_yaw
 from tailbeat.sensors.camera.tracking.track import track
-from tailbeat.sim.native import SimBoard
+from tailbeat.sim.board import SimBoard
 from tailbeat.sim.world import CameraFrame
 
 cv2 = pytest.importorskip("cv2")
