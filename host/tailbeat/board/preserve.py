@@ -30,7 +30,7 @@ from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.records import decode_reference, record_crc
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.link.messages import TrialOutcome
+from tailbeat.link.messages import BoardStatus, TrialOutcome
 
 RESTORE_COMMAND = "tailbeat session resume"
 
@@ -101,7 +101,7 @@ def preserved(
     parameters that will be set meanwhile. ``note``: told what a person should know. Raises
     InputError when the board cannot begin."""
     restore_interrupted(fish, copy, note)
-    _require_ready(fish, what)
+    require_idle(fish, what)
     params = fish.params.values()
     held = _held(fish, params, changes)
     if copy is not None:
@@ -196,18 +196,21 @@ def _is_of_a_run(copy: Path, crc: int | None) -> bool:
         return False
 
 
-def _require_ready(fish: Fish, what: str) -> None:
+def require_idle(fish: Fish, then: str) -> BoardStatus:
+    """The status of an idle board without a pending trial. ``then``: what to do after the remedy.
+    Raises InputError."""
     status = fish.status()
     if status.pending_trial is not None:
         raise InputError(
             f"trial {status.pending_trial} is neither learned nor discarded.",
-            f"tailbeat learn, or tailbeat trial discard; then {what}.",
+            f"tailbeat learn, or tailbeat trial discard --reason WHY; then {then}.",
         )
     if status.state != "IDLE":
         raise InputError(
             f"the board is {status.state}, not IDLE.",
-            f"tailbeat board disarm or tailbeat board clear; then {what}.",
+            f"tailbeat board disarm or tailbeat board clear; then {then}.",
         )
+    return status
 
 
 def _held(fish: Fish, params: Mapping[str, float], changes: Sequence[str]) -> Snapshot:

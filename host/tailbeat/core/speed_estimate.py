@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
+from tailbeat.core.speed_source import speed_source
 from tailbeat.core.trial_file import SLOT_S, Rest, Trial
 
 _BEAT_MIN_S, _BEAT_MAX_S = 0.1, 4.0
@@ -21,6 +23,32 @@ def recompute_beats(trial: Trial) -> tuple[F32, F32]:
     there is nothing to compute and all are NaN.
     """
     return _Recompute(trial).run()
+
+
+class NothingToRecompute(InputError):
+    """The speeds of a trial did not come from its log, or the log was not written to its end."""
+
+
+@dataclass(frozen=True)
+class Recomputed:
+    """``identical``: these are the logged ones, bit for bit."""
+
+    speed_m_s: F32
+    sigma_m_s: F32
+    identical: bool
+
+
+def recomputed(trial: Trial) -> Recomputed:
+    """A trial's speeds computed again and compared. Raises NothingToRecompute."""
+    if trial.uploaded or speed_source(trial.params).uploaded:
+        raise NothingToRecompute("its speeds were uploaded", "They are what the file says.")
+    if trial.executed_beats == 0 or trial.end_fault is None:
+        raise NothingToRecompute("its log was not written to the end", "Pull it again.")
+    speed, sigma = recompute_beats(trial)
+    pairs = ((speed, trial.beats.speed_m_s), (sigma, trial.beats.sigma_m_s))
+    # float32 numbers that are equal have equal bits, but for a zero's sign; NaN = not measured
+    identical = all(np.array_equal(again, was, equal_nan=True) for again, was in pairs)
+    return Recomputed(speed, sigma, identical)
 
 
 class _Recompute:

@@ -13,11 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tailbeat.core.errors import InputError
-from tailbeat.core.speed_estimate import recompute_beats
-from tailbeat.core.speed_source import speed_source
+from tailbeat.core.speed_estimate import NothingToRecompute, recomputed
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.analysis import ANALYSIS, Analysis, analyse, write_analysis
 from tailbeat.experiment.folder import Experiment, held_state
@@ -103,21 +100,16 @@ def _is_bad(name: str, told: str) -> bool:
 
 
 def _recompute(trial: Trial, found: Replay) -> None:
-
     number = trial.number
-    if trial.uploaded or speed_source(trial.params).uploaded:
-        found.not_recomputed.append((number, "its speeds were uploaded"))
-        return
-    if trial.executed_beats == 0 or trial.end_fault is None:
-        found.not_recomputed.append((number, "its log was not written to the end"))
-        return
     try:
-        speed, sigma = recompute_beats(trial)
+        is_same = recomputed(trial).identical
+    except NothingToRecompute as error:
+        found.not_recomputed.append((number, error.message))
+        return
     except InputError as error:
         found.different.append(f"the speeds of trial {number} cannot be computed: {error.message}")
         return
-    pairs = ((speed, trial.beats.speed_m_s), (sigma, trial.beats.sigma_m_s))
-    if all(np.array_equal(again, was, equal_nan=True) for again, was in pairs):
+    if is_same:
         found.recomputed.append(number)
     else:
         found.different.append(

@@ -97,23 +97,6 @@ def settled(fish: Fish, expected: int | None = None) -> BoardStatus:
         fish.link.run(_LOOK_S / rate)
 
 
-def require_idle(fish: Fish, then: str = "") -> BoardStatus:
-    """The status of an idle board without a pending trial. ``then``: what to do after the remedy.
-    Raises InputError."""
-    status = fish.status()
-    if status.pending_trial is not None:
-        raise InputError(
-            f"trial {status.pending_trial} is neither learned nor discarded.",
-            f"tailbeat learn, or tailbeat trial discard --reason WHY{then}.",
-        )
-    if status.state != "IDLE":
-        raise InputError(
-            f"the board is {status.state}, not IDLE.",
-            f"tailbeat board disarm or tailbeat board clear{then}.",
-        )
-    return status
-
-
 NO_SPEED = "beats have no speed"
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from tailbeat.board.diagnostics import look_at
 from tailbeat.board.diagnostics.evidence import PROBLEM
 from tailbeat.board.fish import Fish
-from tailbeat.board.preserve import restore_interrupted
+from tailbeat.board.preserve import require_idle, restore_interrupted
 from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.core.frames import Camera
 from tailbeat.core.reference import Reference, ReferenceLimits
@@ -33,7 +33,6 @@ from tailbeat.learning.design import design, law_words
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import IdentificationRun
 from tailbeat.learning.saturation import needed_rad, servo_rad
-from tailbeat.session.collect import require_idle
 from tailbeat.session.commission_steps import LimitIncrease, next_limit_increase, try_limit
 from tailbeat.session.events import Notice, Operator
 from tailbeat.session.guards import Guard
@@ -123,7 +122,7 @@ class _Session:
         """Whether it can swim at all; then the reference."""
         fish = self.fish
         restore_interrupted(fish, preserve_folder(library_of(fish)), self._note)
-        require_idle(fish)
+        require_idle(fish, "tailbeat session commission")
         params = fish.params.values()
         findings = look_at(fish)
         problems = [f"{one.name}: {one.line}" for one in findings if one.status == PROBLEM]

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from tailbeat.board.fish import Fish
+from tailbeat.board.preserve import require_idle
 from tailbeat.board.snapshot import Snapshot, new_folder
 from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
@@ -32,7 +33,6 @@ from tailbeat.learning.convergence import best_of, score_of
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.transfer import TOLERANCE, Similarity, Transferred, similarity, transfer
-from tailbeat.session.collect import require_idle
 from tailbeat.session.identify import MODEL_PARAMS
 
 INPUT_LAW, INPUT_FIRST, INPUT_UPLOADED, INPUT_RESTORED = range(4)  # memory_input_t
@@ -238,7 +238,7 @@ class _State:
 
 
 def _state(fish: Fish, new: Reference) -> _State:
-    status = require_idle(fish, "; then upload")
+    status = require_idle(fish, "upload")
     reference, learned = fish.reference_record(), fish.learned_record()
     swims_it = status.reference_crc == new.crc
     if swims_it and not _is_fresh(learned):

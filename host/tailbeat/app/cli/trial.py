@@ -27,7 +27,7 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.files import plain
 from tailbeat.core.printable import mm
 from tailbeat.core.records import decode_reference
-from tailbeat.core.speed_estimate import recompute_beats
+from tailbeat.core.speed_estimate import NothingToRecompute, recomputed
 from tailbeat.core.speed_source import speed_source
 from tailbeat.core.trial_checks import heading_drift, not_reached
 from tailbeat.core.trial_file import Trial, beats_csv, read_trial
@@ -131,32 +131,18 @@ def show(
     text = _trial_text(trial, saturation)
     if not recompute:
         return Output(document, text)
-    document["recomputed"] = again = _recomputed(trial)
-    if again["identical"]:
+    try:
+        document["recomputed"] = again = recomputed(trial)
+    except NothingToRecompute as error:
+        words = f"trial {trial.number} cannot be computed again: {error.message}"
+        raise InputError(words, error.remedy) from error
+    if again.identical:
         return Output(document, f"{text}\n{_SAME}")
-    error = TailbeatError(
+    different = TailbeatError(
         f"the speeds of trial {trial.number} cannot be computed again from its file",
         "It was written by a firmware that computes otherwise, or is damaged; see the JSON.",
     )
-    return Output(document, f"{text}\n{_SAME}", error=error)
-
-
-def _recomputed(trial: Trial) -> dict[str, Any]:
-    if trial.uploaded or speed_source(trial.params).uploaded:
-        raise InputError(
-            f"the speeds of trial {trial.number} were uploaded: there is nothing to compute",
-            "They are what the file says.",
-        )
-    if trial.executed_beats == 0 or trial.end_fault is None:
-        raise InputError(
-            f"trial {trial.number} was not written to its end: there is nothing to compare with",
-            "Pull it again.",
-        )
-    speed, sigma = recompute_beats(trial)
-    pairs = ((speed, trial.beats.speed_m_s), (sigma, trial.beats.sigma_m_s))
-    # float32 numbers that are equal have equal bits, but for a zero's sign; NaN = not measured
-    identical = all(np.array_equal(again, was, equal_nan=True) for again, was in pairs)
-    return {"speed_m_s": speed, "sigma_m_s": sigma, "identical": identical}
+    return Output(document, text, error=different)
 
 
 def _from_board(number: int | None, connect: str | None) -> tuple[Trial, Saturation | None]:
