@@ -21,14 +21,10 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "tailbeat"
 
 # How things are; these numbers and lists only get smaller. The goals: 230 files, 36 000 lines.
-FILES_MAX = 236
-CODE_LINES_MAX = 39_510
+FILES_MAX = 227
+CODE_LINES_MAX = 38_790
 IMPORTS_IN_FUNCTIONS_MAX = 1
-LONGER_FILES = {
-    "board/fish.py": 585,  # the interface to a board, a third of it the contracts of its methods
-    "experiment/folder.py": 585,  # likewise, of an experiment
-    "app/web/worker.py": 560,
-}
+LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 
 FILE_LINES_MAX = 450
 FUNCTION_LINES_MAX = 60  # its options apart, when it is a command
