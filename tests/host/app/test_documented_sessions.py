@@ -120,8 +120,7 @@ def python(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], Trial]]:
     text = block("docs/getting-started.md", "8. The same from Python", "python")
 
     def execute(seed: int) -> Trial:
-        for module in ("native", "board"):
-            monkeypatch.setattr(f"tailbeat.sim.{module}.DEFAULT_SEED", seed)
+        monkeypatch.setattr("tailbeat.sim.board.DEFAULT_SEED", seed)
         names: dict[str, object] = {}
         exec(compile(text, "getting-started.md", "exec"), names)
         fish = names["fish"]

@@ -55,7 +55,8 @@ class Rows:
         for name, of, low, high in _RANGES:
             columns[name] = _inside(columns[of], columns[low], columns[high])
         bound = columns["floor_lsq_m_s"]
-        columns["floor_prediction_error"] = np.abs(columns["predicted_floor_m_s"] / bound - 1)
+        with np.errstate(invalid="ignore", divide="ignore"):  # a bound of 0 or none
+            columns["floor_prediction_error"] = np.abs(columns["predicted_floor_m_s"] / bound - 1)
         return cls(columns, texts)
 
     def __len__(self) -> int:
