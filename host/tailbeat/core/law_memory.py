@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
-from tailbeat.core.law import LAST, Averaging, Law, LawCall, LawReport, refused, update_counts
+from tailbeat.core.law import LAST, Averaging, Law, LawReport, refused, update_counts
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.records import fill_peaks
 
@@ -49,6 +49,24 @@ class LawMemory:
         self.rolled_back = False
         self._memory: Any = ffi.new("memory_t *")
         self._past: Any = ffi.new("learn_past_t *")
+        self._law: tuple[Law | None, Any] = None, None  # of the last call, and as the C code has it
+        self._rules: Any = ffi.new("memory_rules_t *")
+        self._report: Any = ffi.new("memory_report_t *")
+        self._executed: Any = ffi.new("float[]", beats)
+        self._scratch: Any = ffi.new("float[]", beats)
+        self._errors: Any = ffi.new("float[]", beats)
+        self._mask: Any = ffi.new("uint8_t[]", beats)
+        self._visits: Any = ffi.new("uint8_t[]", beats)
+        self._trial: Any = ffi.new(
+            "law_trial_t *",
+            {
+                "beats": beats,
+                "error_m_s": self._errors,
+                "measured": self._mask,
+                "visits": self._visits,
+            },
+        )
+        self._input = np.frombuffer(ffi.buffer(self._memory.amplitude_rad), np.float32)[:beats]
         lib.memory_begin(self._memory, 1, beats)
         lib.learn_past_begin(self._past, LAST, 2)
 
@@ -89,17 +107,21 @@ class LawMemory:
     @property
     def amplitude_rad(self) -> F32:
         """The input of the next trial, unsaturated, shape (beats,)."""
-        values = np.frombuffer(ffi.buffer(self._memory.amplitude_rad), dtype=np.float32)
-        return values[: self.beats].copy()
+        return self._input.copy()
 
     def first(self, law: Law, reference_m_s: ArrayLike) -> None:
         """Begins anew: the law applied to the zero input, whose error is the reference. Without the
         step limit, as on the board. Raises InputError."""
         lib.memory_begin(self._memory, 1, self.beats)
         self.forget()
-        values = ffi.new("float[]", np.asarray(reference_m_s, dtype=np.float32).tolist())
-        scratch = ffi.new("float[]", self.beats)
-        refused(lib.memory_first(self._memory, law.native(ffi), values, scratch))
+        values = ffi.from_buffer("float[]", np.ascontiguousarray(reference_m_s, dtype=np.float32))
+        refused(lib.memory_first(self._memory, self._native(law), values, self._scratch))
+
+    @property
+    def report(self) -> LawReport:
+        """Of the last trial that was learned from."""
+        found = self._report.law
+        return LawReport(*(getattr(found, field.name) for field in fields(LawReport)))
 
     def set_input(self, amplitude_rad: ArrayLike, iteration: int) -> None:
         """Amplitudes that came in another way than from the law."""
@@ -135,28 +157,33 @@ class LawMemory:
         complete: bool,
         rollback_ratio: float = 0.0,
         extrapolation: int = 0,
-    ) -> LawReport:
+    ) -> None:
         """Learns from a trial. ``complete``: it may become the best. ``extrapolation``: ILC_EXTRAP.
         Raises InputError when the law refuses it; nothing has been learned then."""
-        executed_rad = self.amplitude_rad
-        call = LawCall(law, executed_rad, np.asarray(error_m_s, dtype=np.float32), measured)
-        report = ffi.new("memory_report_t *")
-        rules = ffi.new(
-            "memory_rules_t *", {"rollback_ratio": rollback_ratio, "beyond": extrapolation}
-        )
-        refused(lib.learn_past_add(self._past, call.law, self._memory, rules, call.scratch))
-        refused(
-            lib.memory_learn(
-                self._memory, call.law, call.trial, 1, complete, rules, call.scratch, report
+        native, trial, report = self._native(law), self._trial, self._report
+        errors = np.ascontiguousarray(error_m_s, dtype=np.float32)
+        mask = np.ascontiguousarray(measured, dtype=np.uint8)
+        if len(errors) != self.beats or len(mask) != self.beats:
+            raise InputError(
+                f"{len(errors)} errors are no trial of {self.beats} beats.", "Give one per beat."
             )
-        )
+        ffi.memmove(self._errors, errors, 4 * self.beats)
+        ffi.memmove(self._mask, mask, self.beats)
+        self._rules.rollback_ratio, self._rules.beyond = rollback_ratio, extrapolation
+        ffi.memmove(self._executed, self._memory.amplitude_rad, 4 * self.beats)
+        rules, scratch = self._rules, self._scratch
+        refused(lib.learn_past_add(self._past, native, self._memory, rules, scratch))
+        refused(lib.memory_learn(self._memory, native, trial, 1, complete, rules, scratch, report))
         self.rolled_back = bool(report.rolled_back)
         if self.rolled_back:
             self.forget()
         else:
-            executed = ffi.new("float[]", executed_rad.tolist())
-            lib.learn_past_keep(self._past, call.law, call.trial, executed)
-        return LawReport(*(getattr(report.law, f.name) for f in fields(LawReport)))
+            lib.learn_past_keep(self._past, native, trial, self._executed)
+
+    def _native(self, law: Law) -> Any:
+        if self._law[0] is not law:
+            self._law = law, law.native(ffi)
+        return self._law[1]
 
 
 def first_amplitudes(law: Law, reference_m_s: ArrayLike) -> F32:

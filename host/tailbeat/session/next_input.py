@@ -86,11 +86,11 @@ def dry_run(fish: Fish, number: int | None = None) -> DryRun:
     past = laws.Averaging.from_params(params)
     learner = LawMemory.of(memory, past, _past_trials(fish, past, status.iteration))
     extrapolation = int(params.get("ILC_EXTRAP", 0))
-    report = learner.learn(law, error, measured, complete, params["ROLLBACK_RATIO"], extrapolation)
+    learner.learn(law, error, measured, complete, params["ROLLBACK_RATIO"], extrapolation)
     return DryRun(
         trial=pending,
         iteration=trial.iteration,
-        report=report,
+        report=learner.report,
         rolled_back=learner.rolled_back,
         amplitude_rad=learner.amplitude_rad,
     )

@@ -167,12 +167,15 @@ class BoardLaw(BatchLearner):
     def learn(self, trials: BatchTrials) -> Columns:
         """A fish without any speed keeps its amplitudes; a trial without a speed in its last beat
         counts as cut short."""
+        errors, measured = errors_of(self._reference.speed_m_s, trials.speed_m_s)
+        mask = measured.astype(np.uint8)
+        some: list[bool] = np.any(measured, axis=1).tolist()
+        last: list[bool] = measured[:, -1].tolist()
         back = []
-        for memory, law, speed in zip(self._memories, self.laws, trials.speed_m_s, strict=True):
-            error, measured = errors_of(self._reference.speed_m_s, speed)
-            if measured.any():
-                memory.learn(law, error, measured, bool(measured[-1]), self.rollback_ratio)
-            back.append(ROLLED_BACK if measured.any() and memory.rolled_back else "")
+        for i, (memory, law) in enumerate(zip(self._memories, self.laws, strict=True)):
+            if some[i]:
+                memory.learn(law, errors[i], mask[i], last[i], self.rollback_ratio)
+            back.append(ROLLED_BACK if some[i] and memory.rolled_back else "")
         return {
             "gain_rad_s_m": [law.kp_rad_s_m for law in self.laws],
             "lead_beats": [float(law.lead_beats) for law in self.laws],
