@@ -29,6 +29,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 LAPTOP, PHONE = (1366, 768), (390, 844)
 PATIENCE_S = 600.0
 SETTLED_S = 60.0  # what opens has opened long before, on a busy machine too
+AGAIN_S = 30.0  # until somebody presses a button once more
 SPEED = 10.0  # much faster, and a starved page loses the link by the board's own clock
 NOBODY = "tcp:127.0.0.1:1"
 FOLDER = "TAILBEAT_PICTURES"  # of the pictures, where somebody wants to look at them
@@ -336,10 +337,26 @@ def _start(browser: Browser, phase: str) -> None:
             return
 
 
+def _choose(browser: Browser, choice: str) -> None:
+    """Presses the button of the dialog until the trial is decided. What is pressed while the page's
+    connection to the laptop is being made anew is lost: the dialog then stays, without a refusal,
+    and a person presses again."""
+    ends = '["idle", "failed"].includes(document.querySelector(".root")?.dataset.phase)'
+    for patience_s in (AGAIN_S, AGAIN_S, PATIENCE_S):
+        browser.click(f".choose-{choice}")
+        try:
+            browser.until(ends, patience_s)
+            break
+        except AssertionError:
+            assert not browser.ask("document.querySelector('.refusal')?.checkVisibility()")
+            if patience_s == PATIENCE_S:
+                raise
+    browser.phase("idle")
+
+
 def _trial_and(browser: Browser, choice: str) -> None:
     _start(browser, "deciding")
-    browser.click(f".choose-{choice}")
-    browser.phase("idle")
+    _choose(browser, choice)
 
 
 def _preflight(browser: Browser, is_on: bool) -> None:
@@ -400,8 +417,7 @@ def _learn(browser: Browser) -> None:
     browser.phase("deciding")
     browser.looks("deciding")
     browser.require_large_targets()
-    browser.click(".choose-keep")
-    browser.phase("idle")
+    _choose(browser, "keep")
     assert len(browser.chart("speed-chart", 1, 22)) == 22
     _preflight(browser, False)
     _trial_and(browser, "keep")
@@ -450,8 +466,7 @@ def _abort(browser: Browser) -> None:
     browser.until(f"{edge} <= document.getElementById('stop-bar').getBoundingClientRect().top")
     browser.size(*LAPTOP)
     browser.click(".reasons button")
-    browser.click(".choose-discard")
-    browser.phase("idle")
+    _choose(browser, "discard")
     browser.until("document.querySelectorAll('.trial.discard').length === 1")
     assert "bumped the wall" in browser.text(".trial.discard")
     assert browser.chart("error-chart") == []  # a new experiment, with nothing kept

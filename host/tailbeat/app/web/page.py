@@ -238,7 +238,7 @@ class ReferenceCard:
                 self._text = ui.input("Shape", value="thesis").props("outlined").classes("shape")
                 ui.button("Use it", on_click=self._by_text).classes("use").style("min-height:56px")
             self._file()
-        with ui.dialog() as self._sure, ui.card().classes("dialog"):
+        with ui.dialog().props(parts.AT_ONCE) as self._sure, ui.card().classes("dialog"):
             self._question = ui.label().style("line-height:1.4")
             with ui.element("div").classes("choices").style("grid-template-columns:1fr 1fr"):
                 ui.button("Begin anew", on_click=self._use).classes("sure")

@@ -42,6 +42,7 @@ REASONS = (
     "battery low",
 )
 _COLOURS = {"keep": "primary", "repeat": "grey-8", "discard": "grey-8"}
+AT_ONCE = "transition-duration=0"  # of dialogs: what grows into its place moves from under a finger
 _STEP_LOOKS = {True: "done", False: "bad", None: "under-way"}
 
 
@@ -281,7 +282,7 @@ def decision_dialog(live: Live) -> None:
         answers.ask("decide", kind=kind, reason=why.value or "")
 
     with (
-        ui.dialog().props("persistent no-focus") as dialog,
+        ui.dialog().props(f"persistent no-focus {AT_ONCE}") as dialog,
         ui.card().classes("dialog deciding"),
     ):
         title = ui.label().classes("title")
@@ -320,7 +321,7 @@ def decision_dialog(live: Live) -> None:
 
 def question_dialog(live: Live) -> None:
     """A question with yes or no."""
-    with ui.dialog().props("persistent") as dialog, ui.card().classes("dialog asking"):
+    with ui.dialog().props(f"persistent {AT_ONCE}") as dialog, ui.card().classes("dialog asking"):
         text = ui.label().style("line-height:1.4")
         choices = ui.element("div").classes("choices").style("grid-template-columns:1fr 1fr")
         answers = _Answers(live)
