@@ -52,6 +52,8 @@ void felt_frame(felt_t *felt, const plant_t *plant, double tail_from_rad, double
     frame->tail_rad[1] = tail_to_rad;
     frame->tail_rate_rad_s[0] = rate_before;
     frame->tail_rate_rad_s[1] = end_rate(felt->slope_rad_s);
+    frame->yaw_per_tail = plant->yaw_per_tail;
+    frame->sway_m_per_rad = plant->sway_m_per_rad;
     frame->tilt_rad[0] = felt->tilt_rad;
     frame->tilt_rad[1] = felt->tilt_rad = tilt_next(felt, length_s);
 }
@@ -90,12 +92,12 @@ static felt_moment_t moment(const felt_frame_t *frame, double part) {
         frame->tail_rad[0] + swing * u * u * (3 - 2 * u) + length_s * u * w * (r0 * w - r1 * u);
     const double rate = 6 * swing / length_s * u * w + r0 * w * (1 - 3 * u) + r1 * u * (3 * u - 2);
     const double heading = along(frame->heading_rad + i, steps - i);
-    const double side = SWAY_M_PER_RAD * rate;
+    const double side = frame->sway_m_per_rad * rate;
     return (felt_moment_t){
         .x_m_s = along(frame->vx_m_s + i, steps - i) - side * sin(heading),
         .y_m_s = along(frame->vy_m_s + i, steps - i) + side * cos(heading),
         .heading_rad = heading,
-        .yaw_rad = heading + YAW_PER_TAIL * tail,
+        .yaw_rad = heading + frame->yaw_per_tail * tail,
         .pitch_rad = PITCH_PER_TAIL2 * tail * tail,
         .roll_rad = frame->tilt_rad[0] + u * (frame->tilt_rad[1] - frame->tilt_rad[0]) +
                     ROLL_PER_TAIL * tail,

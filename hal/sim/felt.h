@@ -15,14 +15,12 @@
 
 #define FELT_FRAMES 64u /* 1.28 s; a power of two */
 
-#define YAW_PER_TAIL (-10.0 / 45.0)
-#define SWAY_M_PER_RAD 0.02
-
 typedef struct {
     uint64_t begin_us, end_us;
     double vx_m_s[SUBSTEPS + 1], vy_m_s[SUBSTEPS + 1], heading_rad[SUBSTEPS + 1];
     double tail_rad[2], tail_rate_rad_s[2]; /* about the mean, at the ends */
     double tilt_rad[2];
+    double yaw_per_tail, sway_m_per_rad;
 } felt_frame_t;
 
 typedef struct {

@@ -96,6 +96,13 @@ static void be_handled(fish_t *fish) {
     }
 }
 
+/* Where the tail is about its mean. */
+static double beat_rad(const fish_t *fish) {
+    const plant_t *plant = &fish->plant;
+    return plant->kind == SIM_PLANT_REACTIVE ? plant->reactive.tail_rad - fish->tail.bias_rad
+                                             : fish->tail.servo_rad;
+}
+
 bool fish_frame(fish_t *fish, uint64_t now_us, uint16_t next_pulse) {
     const bool swimming = fish->pulse != 0;
     const double frame_s = (double)(now_us - fish->time_us) * 1e-6;
@@ -105,12 +112,12 @@ bool fish_frame(fish_t *fish, uint64_t now_us, uint16_t next_pulse) {
     } else {
         be_handled(fish);
     }
-    fish->tail_from_rad = fish->tail.servo_rad;
+    fish->tail_from_rad = beat_rad(fish);
     fish->bias_from_rad = fish->tail.bias_rad;
     tail_frame(&fish->tail, fish->pulse, next_pulse, frame_s, &fish->drive);
-    fish->tail_to_rad = fish->tail.servo_rad;
     fish->bias_to_rad = fish->tail.bias_rad;
     plant_frame(&fish->plant, &fish->drive, fish->bias_to_rad, frame_s);
+    fish->tail_to_rad = beat_rad(fish);
     if (swimming) {
         record_beat(fish);
     }
@@ -142,12 +149,13 @@ static double hermite(double x0, double x1, double dv0, double dv1, double u) {
 static double between(double from, double to, double part) { return from + part * (to - from); }
 
 /* The body at a point of its path. */
-static fish_moment_t body(const plant_point_t *path, double beat_rad, double bias_rad) {
-    const double sway_m = SWAY_M_PER_RAD * beat_rad;
+static fish_moment_t body(const plant_t *plant, const plant_point_t *path, double beat_rad,
+                          double bias_rad) {
+    const double sway_m = plant->sway_m_per_rad * beat_rad;
     return (fish_moment_t){
         .x_m = path->x_m - sway_m * sin(path->heading_rad),
         .y_m = path->y_m + sway_m * cos(path->heading_rad),
-        .heading_rad = path->heading_rad + YAW_PER_TAIL * beat_rad,
+        .heading_rad = path->heading_rad + plant->yaw_per_tail * beat_rad,
         .tail_rad = beat_rad + bias_rad,
     };
 }
@@ -156,7 +164,7 @@ fish_moment_t fish_at(const fish_t *fish, uint64_t time_us) {
     const plant_t *plant = &fish->plant;
     if (fish->frame_us == 0) {
         const plant_point_t path = plant_point(plant);
-        return body(&path, fish->tail_to_rad, fish->bias_to_rad);
+        return body(plant, &path, fish->tail_to_rad, fish->bias_to_rad);
     }
     const uint64_t begin_us = fish->time_us - fish->frame_us;
     const uint64_t since_us = time_us > begin_us ? time_us - begin_us : 0;
@@ -171,6 +179,6 @@ fish_moment_t fish_at(const fish_t *fish, uint64_t time_us) {
         .y_m = hermite(p[0].y_m, p[1].y_m, p[0].vy_m_s * dt, p[1].vy_m_s * dt, u),
         .heading_rad = between(p[0].heading_rad, p[1].heading_rad, u),
     };
-    return body(&path, between(fish->tail_from_rad, fish->tail_to_rad, part),
+    return body(plant, &path, between(fish->tail_from_rad, fish->tail_to_rad, part),
                 between(fish->bias_from_rad, fish->bias_to_rad, part));
 }

@@ -11,30 +11,39 @@
 static bool within(double x, double low, double high) { return x >= low && x <= high; }
 
 bool plant_config_valid(const sim_config_t *config) {
-    return (config->plant == SIM_PLANT_THESIS || config->plant == SIM_PLANT_TANK) &&
-           within(config->mass_kg, 1e-3, 1e6) && within(config->body_length_m, 1e-3, 1e3) &&
+    return config->plant <= SIM_PLANT_REACTIVE && within(config->mass_kg, 1e-3, 1e6) &&
+           within(config->body_length_m, 1e-3, 1e3) &&
            within(config->water_density_kg_m3, 1.0, 1e5) &&
            within(config->tail_area_m2, 1e-6, 1e3) && within(config->drag_kg_m, 1e-3, 1e9) &&
            within(config->kappa_per_m, 1e-3, 1e4) && within(config->delay_s, 0, DELAY_MAX_S) &&
            within(config->slope_m_s_rad, 0, 100) && within(config->dead_zone_rad, 0, 3) &&
            within(config->map_bend_m_s_rad2, -100, 100) && within(config->servo_lag_s, 0, 10) &&
-           within(config->servo_rate_rad_s, 0, 1e4) && within(config->tail_centre_rad, -0.5, 0.5);
+           within(config->servo_rate_rad_s, 0, 1e4) && within(config->tail_centre_rad, -0.5, 0.5) &&
+           within(config->servo_backlash_rad, 0, 1) && within(config->fin_depth_m, 1e-3, 1) &&
+           within(config->thrust_exponent, 1, 4) && within(config->drag_linear, 0, 100) &&
+           within(config->drag_per_rad, 0, 10) && within(config->wake_share, 0, 1) &&
+           within(config->wake_s, 0, 60) && within(config->asymmetry, -0.9, 0.9) &&
+           within(config->collapse_rad, 0, 3);
 }
 
 void plant_init(plant_t *plant, const sim_config_t *config) {
     plant->kind = config->plant;
     thesis_init(&plant->thesis, config, config->beat_s);
     tank_init(&plant->tank, config);
+    reactive_plant_init(&plant->reactive, config);
+    const bool by_itself = plant->kind == SIM_PLANT_REACTIVE;
+    plant->yaw_per_tail = by_itself ? 0 : YAW_PER_TAIL;
+    plant->sway_m_per_rad = by_itself ? 0 : SWAY_M_PER_RAD;
     plant->stir_m_s = 0;
     plant->stir = (plant_stroke_t){0, 0};
     plant_place(plant, 0, 0, 0);
     plant_begin(plant, 0, 1, 0);
 }
 
-static double current_m_s(const plant_t *plant) { return plant->flow_m_s + plant->stir_m_s; }
+double plant_current_m_s(const plant_t *plant) { return plant->flow_m_s + plant->stir_m_s; }
 
 double plant_speed_m_s(const plant_t *plant) {
-    return plant->water_v_m_s + current_m_s(plant) * plant->cosine;
+    return plant->water_v_m_s + plant_current_m_s(plant) * plant->cosine;
 }
 
 static plant_point_t point(const plant_t *plant, double side_m_s) {
@@ -49,7 +58,16 @@ static plant_point_t point(const plant_t *plant, double side_m_s) {
 }
 
 plant_point_t plant_point(const plant_t *plant) {
-    return point(plant, plant->held ? 0 : -current_m_s(plant) * plant->sine);
+    if (plant->kind == SIM_PLANT_REACTIVE && !plant->held) {
+        return (plant_point_t){
+            .x_m = plant->x_m,
+            .y_m = plant->y_m,
+            .heading_rad = plant->heading_rad,
+            .vx_m_s = plant->reactive.v_m_s[0] + plant_current_m_s(plant),
+            .vy_m_s = plant->reactive.v_m_s[1],
+        };
+    }
+    return point(plant, plant->held ? 0 : -plant_current_m_s(plant) * plant->sine);
 }
 
 static void trace_all(plant_t *plant) {
@@ -66,6 +84,7 @@ void plant_begin(plant_t *plant, double start_m_s, double gain, double flow_m_s)
     plant->way_m = 0;
     plant->held = false;
     plant->push = (plant_stroke_t){0, 0};
+    reactive_plant_begin(plant, start_m_s);
     trace_all(plant);
 }
 
@@ -80,6 +99,7 @@ void plant_place(plant_t *plant, double x_m, double y_m, double heading_rad) {
     plant->water_v_m_s = 0;
     plant->held = false;
     plant->push = (plant_stroke_t){0, 0};
+    reactive_plant_begin(plant, 0);
     trace_all(plant);
 }
 
@@ -105,7 +125,7 @@ void plant_stir(plant_t *plant, double by_m_s) {
 }
 
 /* What it adds to a speed in one substep. */
-static double stroke(plant_stroke_t *stroke, double dt) {
+double plant_stroke(plant_stroke_t *stroke, double dt) {
     if (stroke->left_s <= 0) {
         return 0;
     }
@@ -114,8 +134,8 @@ static double stroke(plant_stroke_t *stroke, double dt) {
     return stroke->m_s2 * part;
 }
 
-static void stir_on(plant_t *plant, double dt) {
-    plant->stir_m_s += stroke(&plant->stir, dt);
+void plant_stir_on(plant_t *plant, double dt) {
+    plant->stir_m_s += plant_stroke(&plant->stir, dt);
     if (fabs(plant->stir_m_s) > 0) {
         plant->stir_m_s *= exp(-dt / STIR_S);
     }
@@ -142,14 +162,15 @@ static void held_frame(plant_t *plant, double frame_s) {
             .vx_m_s = from[0] * speed,
             .vy_m_s = from[1] * speed,
         };
-        stir_on(plant, i < SUBSTEPS ? frame_s / SUBSTEPS : 0);
+        plant_stir_on(plant, i < SUBSTEPS ? frame_s / SUBSTEPS : 0);
     }
     plant->held_s += frame_s;
-    plant->water_v_m_s = along * speed - current_m_s(plant) * plant->cosine;
+    plant->water_v_m_s = along * speed - plant_current_m_s(plant) * plant->cosine;
     plant->way_m += along * CATCH_S * (way - way_begin);
     plant->x_m = plant->trace[SUBSTEPS].x_m;
     plant->y_m = plant->trace[SUBSTEPS].y_m;
     plant->held = plant->held_s < plant->held_for_s;
+    reactive_plant_begin(plant, plant->water_v_m_s);
 }
 
 static void turn_by(plant_t *plant, double by_rad) {
@@ -168,8 +189,8 @@ static void advance(plant_t *plant, double distance_m, double bias_rad, double d
     plant->x_m += distance_m * plant->cosine;
     plant->y_m += distance_m * plant->sine;
     turn_by(plant, half_rad);
-    plant->way_m += current_m_s(plant) * plant->cosine * dt;
-    plant->x_m += current_m_s(plant) * dt;
+    plant->way_m += plant_current_m_s(plant) * plant->cosine * dt;
+    plant->x_m += plant_current_m_s(plant) * dt;
 }
 
 static double swim_on(plant_t *plant, const drive_t *drive, unsigned i, double dt) {
@@ -185,12 +206,16 @@ void plant_frame(plant_t *plant, const drive_t *drive, double bias_rad, double f
         held_frame(plant, frame_s);
         return;
     }
+    if (plant->kind == SIM_PLANT_REACTIVE) {
+        reactive_plant_frame(plant, drive, bias_rad, frame_s);
+        return;
+    }
     const double dt = frame_s / SUBSTEPS;
     plant->trace[0] = plant_point(plant);
     for (unsigned i = 0; i < SUBSTEPS; i++) {
         const double distance_m = swim_on(plant, drive, i, dt);
-        plant->water_v_m_s += stroke(&plant->push, dt);
-        stir_on(plant, dt);
+        plant->water_v_m_s += plant_stroke(&plant->push, dt);
+        plant_stir_on(plant, dt);
         advance(plant, distance_m, bias_rad, dt);
         plant->trace[i + 1] = plant_point(plant);
     }

@@ -1,5 +1,5 @@
 /*
- * The two models of the fish in the water. Speeds are over water; the tail cannot brake. Only a
+ * The models of the fish in the water. Speeds are over water; the tail cannot brake. Only a
  * hand can: a held fish stands still over ground, a pushed one gets faster, or drifts backwards.
  *
  * Level frame: x along the tank, y to the right of it; headings clockwise from above. The water
@@ -9,12 +9,16 @@
 #ifndef SIM_PLANT_H
 #define SIM_PLANT_H
 
+#include "reactive.h"
 #include "sim_config.h"
 #include "tail.h"
 
 #define DELAY_RING 2048u /* substeps; a power of two */
 #define DELAY_MAX_S 5.0
 #define QUADRATURE 8u
+/* Of the tank's and the thesis's fish: how its body goes with the tail. */
+#define YAW_PER_TAIL (-10.0 / 45.0)
+#define SWAY_M_PER_RAD 0.02
 #define TURN_PER_M_RAD (-3.0) /* heading by metre, per rad of the tail's mean angle */
 
 /* (8.13): thrust is the mean over the beat, for the amplitude of the moment. */
@@ -36,6 +40,19 @@ typedef struct {
     double thrust[DELAY_RING]; /* vss^2 by substep */
 } tank_t;
 
+/* reactive.h with a servo of its own: lag, rate limit, play. Its body swings and sways by itself.
+ */
+typedef struct {
+    reactive_config_t config;
+    reactive_t fish;
+    double omega_rad_s, lag_s, rate_rad_s, backlash_rad;
+    double shaft_rad, tail_rad;          /* of the servo; of the tail, which has play on it */
+    double v_m_s[2];                     /* over water, x and y */
+    double yaw_rad[FRAMES_PER_BEAT_MAX]; /* of the last beat, by frame */
+    double yaw_sum_rad;
+    uint32_t frames_per_beat, frame;
+} reactive_plant_t;
+
 /* Over ground. */
 typedef struct {
     double x_m, y_m, heading_rad;
@@ -51,7 +68,9 @@ typedef struct {
     sim_plant_t kind;
     thesis_t thesis;
     tank_t tank;
-    double gain; /* on the speed that thrust settles at */
+    reactive_plant_t reactive;
+    double yaw_per_tail, sway_m_per_rad; /* of the body beside its path, per tail angle */
+    double gain;                         /* on the speed that thrust settles at */
     double flow_m_s;
     double stir_m_s; /* what the water moves beyond that, dying down */
     double water_v_m_s;
@@ -88,6 +107,17 @@ double plant_speed_m_s(const plant_t *plant);
 plant_point_t plant_point(const plant_t *plant);
 /* |bias_rad|: mean angle of the tail. */
 void plant_frame(plant_t *plant, const drive_t *drive, double bias_rad, double frame_s);
+
+/* The tail's own mean angle is in the drive of the reactive plant. */
+void reactive_plant_init(reactive_plant_t *own, const sim_config_t *config);
+/* Where the plant has it, with |surge_m_s|, thrust forgotten. Nothing for another kind. */
+void reactive_plant_begin(plant_t *plant, double surge_m_s);
+void reactive_plant_frame(plant_t *plant, const drive_t *drive, double bias_rad, double frame_s);
+
+/* For the files of the plants. What a hand adds to a speed in one substep. */
+double plant_stroke(plant_stroke_t *stroke, double dt);
+void plant_stir_on(plant_t *plant, double dt);
+double plant_current_m_s(const plant_t *plant);
 
 void thesis_init(thesis_t *thesis, const sim_config_t *config, double beat_s);
 double thesis_step(thesis_t *thesis, double *v_m_s, double amplitude_rad, double gain, double dt_s);

@@ -1,6 +1,7 @@
 #include "reactive.h"
 
 #include <math.h>
+#include <stdbool.h>
 
 #define PI 3.14159265358979323846
 
@@ -48,8 +49,8 @@ static inertia_t inertia(const reactive_config_t *config, tail_angle_t tail) {
     const double e[3] = {0, 0, -1};
     for (unsigned i = 0; i < 3; i++) {
         for (unsigned j = 0; j < 3; j++) {
-            found.matrix[i][j] += m.m0 * b[i] * b[j] + m.m1 * (b[i] * e[j] + e[i] * b[j]) +
-                                  m.m2 * e[i] * e[j];
+            found.matrix[i][j] +=
+                m.m0 * b[i] * b[j] + m.m1 * (b[i] * e[j] + e[i] * b[j]) + m.m2 * e[i] * e[j];
         }
         found.carried[i] = -(m.m1 * b[i] + m.m2 * e[i]);
     }
@@ -102,8 +103,7 @@ static void add_across(const reactive_config_t *config, tail_angle_t tail, doubl
 static force_t shed(const reactive_config_t *config, tail_angle_t tail, const double q[3]) {
     const double w = across_m_s(config, tail, q, config->tail_m);
     const double u = q[0] * tail.cosine + (q[1] - q[2] * config->hinge_m) * tail.sine;
-    const double m =
-        mass_per_m(config, config->fin_depth_m) * (1 + copysign(config->asymmetry, w));
+    const double m = mass_per_m(config, config->fin_depth_m) * (1 + copysign(config->asymmetry, w));
     const double along_n = 0.5 * m * w * w;
     force_t force = {
         .x_n = along_n * tail.cosine,
@@ -140,9 +140,8 @@ static void add_body_drag(const reactive_config_t *config, double amplitude_rad,
 #define COLLAPSE_WIDTH_RAD 0.1
 
 static double thrust_part(const reactive_config_t *config, double amplitude_rad) {
-    double part = amplitude_rad > 0
-                      ? pow(amplitude_rad / REFERENCE_RAD, config->thrust_exponent - 2)
-                      : 0;
+    double part =
+        amplitude_rad > 0 ? pow(amplitude_rad / REFERENCE_RAD, config->thrust_exponent - 2) : 0;
     if (config->collapse_rad > 0 && amplitude_rad > config->collapse_rad) {
         const double beyond = (amplitude_rad - config->collapse_rad) / COLLAPSE_WIDTH_RAD;
         part *= exp(-beyond * beyond);
@@ -152,17 +151,27 @@ static double thrust_part(const reactive_config_t *config, double amplitude_rad)
 
 enum { SURGE, SWAY, YAW, X, Y, HEADING, WAKE, VALUES };
 
-static void rates(const reactive_config_t *config, tail_angle_t tail, double amplitude_rad,
-                  const double state[VALUES], double rate[VALUES]) {
+/* Of one step: what does not change meanwhile. */
+typedef struct {
+    const reactive_config_t *config;
+    double amplitude_rad;
+    double thrust_part; /* of the theory's */
+    bool late;
+    double late_n; /* the thrust of |delay_s| ago, where there is a delay */
+} step_t;
+
+static void rates(const step_t *step, tail_angle_t tail, const double state[VALUES],
+                  double rate[VALUES]) {
+    const reactive_config_t *config = step->config;
     double q[3];
     speeds(config, tail, state, q);
     force_t force = shed(config, tail, q);
-    const double thrust_n = force.x_n * thrust_part(config, amplitude_rad);
+    const double thrust_n = step->late ? step->late_n : force.x_n * step->thrust_part;
     rate[WAKE] = config->wake_s > 0 ? (thrust_n - state[WAKE]) / config->wake_s : 0;
     const double late = config->wake_s > 0 ? config->wake_share : 0;
     force.x_n = (1 - late) * thrust_n + late * state[WAKE];
     add_fin_drag(config, tail, q, &force);
-    add_body_drag(config, amplitude_rad, q, &force);
+    add_body_drag(config, step->amplitude_rad, q, &force);
     rate[SURGE] = q[2] * state[SWAY] + force.x_n;
     rate[SWAY] = -q[2] * state[SURGE] + force.y_n;
     rate[YAW] = q[1] * state[SURGE] - q[0] * state[SWAY] + force.yaw_nm;
@@ -202,29 +211,21 @@ static double follow_envelope(reactive_t *fish, double rad, double rate, double 
     return sqrt(fish->envelope_rad2);
 }
 
-void reactive_step(reactive_t *fish, const reactive_config_t *config, double tail_from_rad,
-                   double tail_to_rad, double omega_rad_s, double dt_s) {
-    const double rate = (tail_to_rad - tail_from_rad) / dt_s;
-    const double middle_rad = 0.5 * (tail_from_rad + tail_to_rad);
-    const double amplitude = follow_envelope(fish, middle_rad, rate, omega_rad_s, dt_s);
-    const tail_angle_t tail[3] = {tail_at(tail_from_rad, rate), tail_at(middle_rad, rate),
-                                  tail_at(tail_to_rad, rate)};
-    static const double ahead[4] = {0, 0.5, 0.5, 1};
-    static const double weight[4] = {1.0 / 6, 1.0 / 3, 1.0 / 3, 1.0 / 6};
-    const double from[VALUES] = {fish->momentum[0], fish->momentum[1], fish->momentum[2],
-                                 fish->x_m,         fish->y_m,         fish->yaw_rad,
-                                 fish->wake_n};
-    double sum[VALUES] = {0}, slope[VALUES] = {0};
-    for (unsigned i = 0; i < 4; i++) {
-        double state[VALUES];
-        for (unsigned k = 0; k < VALUES; k++) {
-            state[k] = from[k] + ahead[i] * dt_s * slope[k];
-        }
-        rates(config, tail[(i + 1) / 2], amplitude, state, slope);
-        for (unsigned k = 0; k < VALUES; k++) {
-            sum[k] += weight[i] * dt_s * slope[k];
-        }
-    }
+/* What is shed now joins the ring; what was shed a delay ago. */
+static double delayed(reactive_t *fish, const reactive_config_t *config, tail_angle_t tail,
+                      double part) {
+    double q[3];
+    speeds(config, tail, fish->momentum, q);
+    const double steps = config->delay_s / REACTIVE_STEP_S;
+    const unsigned whole = (unsigned)steps;
+    const unsigned now = fish->step++;
+    fish->thrust_n[now % REACTIVE_RING] = part * shed(config, tail, q).x_n;
+    const double late = fish->thrust_n[(now - whole) % REACTIVE_RING];
+    const double later = fish->thrust_n[(now - whole - 1u) % REACTIVE_RING];
+    return late + (steps - whole) * (later - late);
+}
+
+static void add_steps(reactive_t *fish, const double sum[VALUES]) {
     for (unsigned i = 0; i < 3; i++) {
         fish->momentum[i] += sum[i];
     }
@@ -232,4 +233,35 @@ void reactive_step(reactive_t *fish, const reactive_config_t *config, double tai
     fish->y_m += sum[Y];
     fish->yaw_rad += sum[HEADING];
     fish->wake_n += sum[WAKE];
+}
+
+void reactive_step(reactive_t *fish, const reactive_config_t *config, double gain,
+                   double tail_from_rad, double tail_to_rad, double omega_rad_s, double dt_s) {
+    const double rate = (tail_to_rad - tail_from_rad) / dt_s;
+    const double middle_rad = 0.5 * (tail_from_rad + tail_to_rad);
+    const tail_angle_t tail[3] = {tail_at(tail_from_rad, rate), tail_at(middle_rad, rate),
+                                  tail_at(tail_to_rad, rate)};
+    step_t step = {
+        .config = config,
+        .amplitude_rad = follow_envelope(fish, middle_rad, rate, omega_rad_s, dt_s),
+        .late = config->delay_s > 0,
+    };
+    step.thrust_part = gain * gain * thrust_part(config, step.amplitude_rad);
+    step.late_n = step.late ? delayed(fish, config, tail[0], step.thrust_part) : 0;
+    static const double ahead[4] = {0, 0.5, 0.5, 1};
+    static const double weight[4] = {1.0 / 6, 1.0 / 3, 1.0 / 3, 1.0 / 6};
+    const double from[VALUES] = {fish->momentum[0], fish->momentum[1], fish->momentum[2], fish->x_m,
+                                 fish->y_m,         fish->yaw_rad,     fish->wake_n};
+    double sum[VALUES] = {0}, slope[VALUES] = {0};
+    for (unsigned i = 0; i < 4; i++) {
+        double state[VALUES];
+        for (unsigned k = 0; k < VALUES; k++) {
+            state[k] = from[k] + ahead[i] * dt_s * slope[k];
+        }
+        rates(&step, tail[(i + 1) / 2], state, slope);
+        for (unsigned k = 0; k < VALUES; k++) {
+            sum[k] += weight[i] * dt_s * slope[k];
+        }
+    }
+    add_steps(fish, sum);
 }

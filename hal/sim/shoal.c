@@ -146,7 +146,7 @@ static void frame_alone(block_t *block, bool limp) {
     shoal_block_t *rows = &block->rows;
     plant_t *plant = &block->plant;
     const double dt = rows->frame_s / SUBSTEPS;
-    drive_t drive = {{0, 0, 0, 0}, {1, 1, 1, 1}};
+    drive_t drive = {{0, 0, 0, 0}, {1, 1, 1, 1}, {0, 0}};
     if (!limp || block->tail.has_servo) {
         tail_frame_sine(&block->tail, rows->amplitude_rad[0], rows->frame_s, &drive);
     }

@@ -19,6 +19,8 @@ void sim_config_default(sim_config_t *config, sim_plant_t plant) {
         .dead_zone_rad = 0.197,
         .servo_lag_s = 0.04,
         .servo_rate_rad_s = 5.23598775598298873,
+        .fin_depth_m = 0.08,
+        .thrust_exponent = 2,
         .beat_s = 1,
         .camera_fps = 25,
         .camera_exposure_s = 0.01,
@@ -32,7 +34,14 @@ void sim_config_default(sim_config_t *config, sim_plant_t plant) {
         .link_bytes_per_s = 11520,
         .boot_s = 1.7,
     };
-    if (plant == SIM_PLANT_TANK) {
+    if (plant == SIM_PLANT_REACTIVE) {
+        config->mass_kg = 1.3;
+        config->servo_backlash_rad = 0.03;
+        config->wake_share = 0.1;
+        config->wake_s = 0.8;
+        config->delay_s = 0.1;
+    }
+    if (plant != SIM_PLANT_THESIS) {
         config->gain_sigma = 0.02;
         config->flow_sigma_m_s = 0.0015;
         config->start_sigma_m_s = 0.002;

@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-typedef enum { SIM_PLANT_THESIS = 0, SIM_PLANT_TANK = 1 } sim_plant_t;
+typedef enum { SIM_PLANT_THESIS = 0, SIM_PLANT_TANK = 1, SIM_PLANT_REACTIVE = 2 } sim_plant_t;
 
 /* All of it in SI units. sim_config_default fills it; every disturbance is off at 0. */
 typedef struct {
@@ -13,16 +13,26 @@ typedef struct {
     sim_plant_t plant;
     /* thesis plant (8.13) */
     double mass_kg, body_length_m, water_density_kg_m3, tail_area_m2, drag_kg_m;
-    /* tank plant */
+    /* tank and reactive plant */
     double kappa_per_m;   /* drag over mass */
     double delay_s;       /* from amplitude to thrust */
     double slope_m_s_rad; /* steady speed over amplitude beyond the dead zone */
     double dead_zone_rad;
-    double map_bend_m_s_rad2; /* times the square of the amplitude beyond it, in that speed */
-    double servo_lag_s;       /* first-order lag of the tail angle; 0 = none */
-    double servo_rate_rad_s;  /* rate limit; 0 = none */
-    double beat_s;            /* tail period of both plants; a multiple of 20 ms */
-    double tail_centre_rad;   /* the tail is mounted askew by this; its mean angle turns the fish */
+    double map_bend_m_s_rad2;  /* times the square of the amplitude beyond it, in that speed */
+    double servo_lag_s;        /* first-order lag of the tail angle; 0 = none */
+    double servo_rate_rad_s;   /* rate limit; 0 = none */
+    double servo_backlash_rad; /* play between servo and tail; reactive plant only */
+    /* reactive plant */
+    double fin_depth_m;
+    double thrust_exponent; /* of the mean thrust over the amplitude */
+    double drag_linear;     /* linear drag over the quadratic one at 80 mm/s */
+    double drag_per_rad;    /* relative growth of drag with the amplitude */
+    double wake_share;      /* part of the thrust that follows ... */
+    double wake_s;          /* ... with this time constant */
+    double asymmetry;       /* starboard strokes are stronger by this part, port ones weaker */
+    double collapse_rad;    /* beyond this amplitude thrust breaks down; 0 = never */
+    double beat_s;          /* tail period of all plants; a multiple of 20 ms */
+    double tail_centre_rad; /* the tail is mounted askew by this; its mean angle turns the fish */
     /* disturbances */
     double gain_sigma;      /* relative thrust speed, per trial */
     double flow_sigma_m_s;  /* constant per trial */

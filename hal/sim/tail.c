@@ -137,6 +137,8 @@ static double fit_beat(tail_t *tail, bool has_next, double *next) {
 }
 
 void tail_frame(tail_t *tail, uint16_t pulse, uint16_t next_pulse, double frame_s, drive_t *drive) {
+    drive->commanded_rad[0] = pulse != 0 ? tail->angle_rad : 0;
+    drive->commanded_rad[1] = 0;
     if (pulse == 0) {
         /* A limp tail trails straight behind. */
         if (tail->has_servo) {
@@ -163,12 +165,15 @@ void tail_frame(tail_t *tail, uint16_t pulse, uint16_t next_pulse, double frame_
         }
         tail->servo_rad = next;
     }
+    drive->commanded_rad[1] = next;
     tail->angle_rad = next;
     tail->frame = tail->frame + 1 < tail->frames_per_beat ? tail->frame + 1 : 0;
 }
 
 void tail_frame_sine(tail_t *tail, double amplitude_rad, double frame_s, drive_t *drive) {
     const double *s = tail->sine + tail->frame;
+    drive->commanded_rad[0] = amplitude_rad * s[0];
+    drive->commanded_rad[1] = amplitude_rad * s[1];
     if (tail->has_servo) {
         servo_frame(tail, amplitude_rad * s[0], amplitude_rad * s[1], frame_s, drive);
     } else {

@@ -19,6 +19,7 @@
 typedef struct {
     double amplitude_rad[SUBSTEPS];
     double ripple[SUBSTEPS]; /* thrust over its mean over the beat: 2 cos^2 of the tail's phase */
+    double commanded_rad[2]; /* at the ends of the frame, about the bias */
 } drive_t;
 
 typedef struct {

@@ -14,7 +14,7 @@ from tailbeat.core.native import ffi, lib
 from tailbeat.link.sockets import TcpTransport
 from tailbeat.link.transport import Transport
 
-PLANTS = {"thesis": 0, "tank": 1}
+PLANTS = {"thesis": 0, "tank": 1, "reactive": 2}
 DEFAULT_SEED = 1
 
 _TIMEOUT_S = 1.0
