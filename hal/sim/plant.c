@@ -225,6 +225,16 @@ static double thesis_beat(plant_t *plant, double amplitude_rad, double beat_s) {
     return thesis_step(&plant->thesis, &plant->water_v_m_s, amplitude_rad, 1, beat_s);
 }
 
+static double reactive_beat(plant_t *plant, tail_t *tail, double amplitude_rad, double beat_s) {
+    const double before_m = plant->way_m;
+    for (uint32_t frame = 0; frame < tail->frames_per_beat; frame++) {
+        drive_t drive;
+        tail_frame_sine(tail, amplitude_rad, beat_s / tail->frames_per_beat, &drive);
+        plant_frame(plant, &drive, 0, beat_s / tail->frames_per_beat);
+    }
+    return plant->way_m - before_m;
+}
+
 static double tank_beat(plant_t *plant, tail_t *tail, double amplitude_rad, double beat_s) {
     const double frame_s = beat_s / tail->frames_per_beat;
     const double dt = frame_s / SUBSTEPS;
@@ -238,6 +248,17 @@ static double tank_beat(plant_t *plant, tail_t *tail, double amplitude_rad, doub
         }
     }
     return distance;
+}
+
+static double beat(plant_t *plant, tail_t *tail, double amplitude_rad, double beat_s) {
+    switch (plant->kind) {
+    case SIM_PLANT_TANK:
+        return tank_beat(plant, tail, amplitude_rad, beat_s);
+    case SIM_PLANT_REACTIVE:
+        return reactive_beat(plant, tail, amplitude_rad, beat_s);
+    default:
+        return thesis_beat(plant, amplitude_rad, beat_s);
+    }
 }
 
 bool sim_plant_beats(const sim_config_t *config, const double *amplitude_rad, size_t beats,
@@ -257,10 +278,7 @@ bool sim_plant_beats(const sim_config_t *config, const double *amplitude_rad, si
             return false;
         }
         const double amplitude = fabs(amplitude_rad[k]);
-        const double distance = plant.kind == SIM_PLANT_TANK
-                                    ? tank_beat(&plant, &tail, amplitude, beat_s)
-                                    : thesis_beat(&plant, amplitude, beat_s);
-        mean_m_s[k] = distance / beat_s;
+        mean_m_s[k] = beat(&plant, &tail, amplitude, beat_s) / beat_s;
     }
     return true;
 }

@@ -141,6 +141,22 @@ static void begin(block_t *block) {
     set_windows(block);
 }
 
+/* Of a fish whose path is no line: along its heading. */
+static void frame_reactive(block_t *block, const drive_t *drive) {
+    shoal_block_t *rows = &block->rows;
+    plant_t *plant = &block->plant;
+    const double way_m = rows->way_m[0];
+    const double ahead = plant->cosine, aside = plant->sine;
+    plant_frame(plant, drive, 0, rows->frame_s);
+    const plant_point_t *trace = plant->trace;
+    for (unsigned i = 0; i <= SUBSTEPS; i++) {
+        rows->trace_v_m_s[i][0] = trace[i].vx_m_s * ahead + trace[i].vy_m_s * aside;
+        rows->trace_way_m[i][0] =
+            way_m + (trace[i].x_m - trace[0].x_m) * ahead + (trace[i].y_m - trace[0].y_m) * aside;
+    }
+    rows->way_m[0] = rows->trace_way_m[SUBSTEPS][0];
+}
+
 /* The frame of the fish that swims alone. */
 static void frame_alone(block_t *block, bool limp) {
     shoal_block_t *rows = &block->rows;
@@ -149,6 +165,10 @@ static void frame_alone(block_t *block, bool limp) {
     drive_t drive = {{0, 0, 0, 0}, {1, 1, 1, 1}, {0, 0}};
     if (!limp || block->tail.has_servo) {
         tail_frame_sine(&block->tail, rows->amplitude_rad[0], rows->frame_s, &drive);
+    }
+    if (plant->kind == SIM_PLANT_REACTIVE) {
+        frame_reactive(block, &drive);
+        return;
     }
     rows->trace_v_m_s[0][0] = rows->v_m_s[0];
     rows->trace_way_m[0][0] = rows->way_m[0];
@@ -296,7 +316,9 @@ static void swim_alone(block_t *block, size_t fish) {
     timed.beat_s = task->beat_s;
     tail_init(&block->tail, &timed, task->tail->frames_per_beat);
     plant_init(&block->plant, &timed);
-    block->plant.gain = gain_of(&timed, task->swims[fish]);
+    const uint32_t swim = task->swims[fish];
+    plant_begin(&block->plant, fabs(disturbance(&timed, NOISE_START, swim, timed.start_sigma_m_s)),
+                gain_of(&timed, swim), 0);
     block->first = fish;
     block->count = 1;
     block->alone = true;
