@@ -51,7 +51,7 @@ static double wrapped(double angle_rad) {
 
 static void expose(camera_t *camera, const fish_t *fish, uint64_t time_us) {
     const uint32_t sample = camera->swim_picture++;
-    if (!camera->on ||
+    if (!camera->on || fish_is_hidden(fish) ||
         (camera->lost > 0 && noise_uniform(camera->noise_lost, sample) < camera->lost)) {
         return;
     }

@@ -1,30 +1,21 @@
 #include "fish.h"
 
-#include "noise.h"
-
 #include <math.h>
 
 #define SILENT_FRAMES 10u /* 0.2 s */
 #define FRAMES_PER_SPEED 2u
 
 void fish_init(fish_t *fish, const sim_config_t *config) {
-    fish->gain_sigma = config->gain_sigma;
-    fish->flow_sigma_m_s = config->flow_sigma_m_s;
-    fish->start_sigma_m_s = config->start_sigma_m_s;
+    fish->config = *config;
     fish->beat_s = config->beat_s;
     fish->caught_after_us = (uint64_t)(config->caught_after_s * 1e6 + 0.5);
     fish->placed_after_us = (uint64_t)(config->placed_after_s * 1e6 + 0.5);
     fish->gain = 1;
     fish->placed = true;
-    fish->seed = config->seed;
     tail_init(&fish->tail, config, tail_frames(config->beat_s));
     plant_init(&fish->plant, config);
     fish->silent_frames = SILENT_FRAMES;
     fish->next_swim_key = 1;
-}
-
-static double disturbance(const fish_t *fish, noise_stream_t stream, double sigma) {
-    return sigma * noise_normal(noise_key(fish->seed, stream, fish->swim_key), 0);
 }
 
 /* The hand that moves it is not felt as a push; that it was turned is. */
@@ -51,14 +42,14 @@ static void begin_swim(fish_t *fish, uint16_t first_pulse) {
     fish->bias_from_rad = fish->bias_to_rad = fish->tail.bias_rad;
     tail_begin(&fish->tail, first_pulse);
     const plant_point_t before = plant_point(&fish->plant);
+    disturbance_draw(&fish->drawn, &fish->config, fish->swim_key);
+    const disturbance_t *drawn = &fish->drawn;
     if (!fish->placed) {
-        plant_place(&fish->plant, 0, 0, 0);
+        plant_place(&fish->plant, drawn->place_x_m, drawn->place_y_m, drawn->place_rad);
     }
     fish->placed = false;
-    const double drawn_m_s = fabs(disturbance(fish, NOISE_START, fish->start_sigma_m_s));
-    plant_begin(&fish->plant, fish->start_known ? fish->start_m_s : drawn_m_s,
-                fish->gain * fmax(0, 1 + disturbance(fish, NOISE_GAIN, fish->gain_sigma)),
-                disturbance(fish, NOISE_FLOW, fish->flow_sigma_m_s));
+    plant_begin(&fish->plant, fish->start_known ? fish->start_m_s : drawn->start_m_s,
+                fish->gain * drawn->gain, drawn->flow_m_s);
     fish->start_known = false;
     carried_from(fish, &before);
 }
@@ -103,6 +94,13 @@ static double beat_rad(const fish_t *fish) {
                                              : fish->tail.servo_rad;
 }
 
+/* Of the frame that is about to be, as at its begin. */
+static void move_water(fish_t *fish) {
+    const double since_s = fish->swim_frame * fish->beat_s / fish->tail.frames_per_beat;
+    fish->plant.flow_m_s =
+        fish->drawn.flow_m_s + disturbance_flow_m_s(&fish->drawn, since_s, fish->plant.x_m);
+}
+
 bool fish_frame(fish_t *fish, uint64_t now_us, uint16_t next_pulse) {
     const bool swimming = fish->pulse != 0;
     const double frame_s = (double)(now_us - fish->time_us) * 1e-6;
@@ -116,6 +114,9 @@ bool fish_frame(fish_t *fish, uint64_t now_us, uint16_t next_pulse) {
     fish->bias_from_rad = fish->tail.bias_rad;
     tail_frame(&fish->tail, fish->pulse, next_pulse, frame_s, &fish->drive);
     fish->bias_to_rad = fish->tail.bias_rad;
+    if (fish->drawn.moves && !fish->placed) {
+        move_water(fish);
+    }
     plant_frame(&fish->plant, &fish->drive, fish->bias_to_rad, frame_s);
     fish->tail_to_rad = beat_rad(fish);
     if (swimming) {
@@ -138,6 +139,12 @@ bool fish_frame(fish_t *fish, uint64_t now_us, uint16_t next_pulse) {
         begin_swim(fish, next_pulse);
     }
     return begins;
+}
+
+bool fish_is_hidden(const fish_t *fish) {
+    const uint32_t frame = fish->swim_frame > 0 ? fish->swim_frame - 1 : 0;
+    const uint32_t beat = frame / fish->tail.frames_per_beat;
+    return fish->pulse != 0 && disturbance_hides(&fish->drawn, beat);
 }
 
 /* Cubic through position and speed at both ends of a substep. */

@@ -7,6 +7,7 @@
 #ifndef SIM_FISH_H
 #define SIM_FISH_H
 
+#include "disturbance.h"
 #include "felt.h"
 #include "plant.h"
 #include "tail.h"
@@ -19,11 +20,12 @@
 #define FISH_SPEEDS_MAX 32768u
 
 typedef struct {
-    double gain_sigma, flow_sigma_m_s, start_sigma_m_s, beat_s;
+    sim_config_t config;
+    double beat_s;
+    disturbance_t drawn;      /* of the present swim */
     uint64_t caught_after_us; /* 0 = never */
     uint64_t placed_after_us; /* 0 = when the next swim begins */
     double gain;              /* of thrust speed, beside each swim's own */
-    uint64_t seed;
     tail_t tail;
     plant_t plant;
     uint64_t time_us;  /* up to which the plant has been advanced */
@@ -61,6 +63,9 @@ bool fish_frame(fish_t *fish, uint64_t now_us, uint16_t next_pulse);
 
 /* Somebody carries it there. */
 void fish_place(fish_t *fish, double x_m, double y_m, double heading_rad);
+
+/* Whether the camera sees nothing of it in the present beat. */
+bool fish_is_hidden(const fish_t *fish);
 
 /* At |time_us| within the last frame. */
 fish_moment_t fish_at(const fish_t *fish, uint64_t time_us);

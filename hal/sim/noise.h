@@ -18,7 +18,12 @@ typedef enum {
     NOISE_IMU,
     NOISE_IMU_DRIFT,
     NOISE_IMU_WIRE_IN,
-    NOISE_IMU_WIRE_OUT
+    NOISE_IMU_WIRE_OUT,
+    NOISE_DRIFT,
+    NOISE_OUTLIER,
+    NOISE_FLOW_WAVES,
+    NOISE_PLACE,
+    NOISE_LOST_BEAT
 } noise_stream_t;
 
 /* Names one sequence of samples. */

@@ -1,5 +1,6 @@
 #include "shoal.h"
 
+#include "disturbance.h"
 #include "drag_step.h"
 #include "noise.h"
 #include "shoal_lanes.h"
@@ -37,6 +38,9 @@ typedef struct {
     bool alone; /* one fish, by the plant's own code; otherwise all lanes at once */
     tail_t tail;
     plant_t plant;
+    disturbance_t drawn[SHOAL_LANES];
+    bool moves;                  /* the water of any lane, within the trial */
+    double moved_m[SHOAL_LANES]; /* by that, since the beat began */
     shoal_block_t rows;
 } block_t;
 
@@ -55,20 +59,15 @@ static bool has_servo(const sim_config_t *c) {
     return c->servo_lag_s > 0 || c->servo_rate_rad_s > 0;
 }
 
-static double disturbance(const sim_config_t *c, noise_stream_t stream, uint32_t swim,
-                          double sigma) {
-    return sigma * noise_normal(noise_key(c->seed, stream, swim), 0);
-}
-
-static double gain_of(const sim_config_t *c, uint32_t swim) {
-    return fmax(0, 1 + disturbance(c, NOISE_GAIN, swim, c->gain_sigma));
-}
-
-static void set_water(shoal_block_t *rows, unsigned l, const sim_config_t *c, uint32_t swim) {
-    const double gain = gain_of(c, swim);
+static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_t swim) {
+    shoal_block_t *rows = &block->rows;
+    disturbance_draw(&block->drawn[l], c, swim);
+    const double gain = block->drawn[l].gain;
     const double h = rows->frame_s / SUBSTEPS;
-    rows->v_m_s[l] = fabs(disturbance(c, NOISE_START, swim, c->start_sigma_m_s));
-    rows->flow_m_s[l] = disturbance(c, NOISE_FLOW, swim, c->flow_sigma_m_s);
+    rows->v_m_s[l] = block->drawn[l].start_m_s;
+    rows->flow_m_s[l] = block->drawn[l].flow_m_s;
+    block->moved_m[l] = 0;
+    block->moves = block->moves || block->drawn[l].moves;
     rows->kappa_per_m[l] = c->kappa_per_m;
     rows->slope[l] = gain * c->slope_m_s_rad;
     rows->bend[l] = gain * c->map_bend_m_s_rad2;
@@ -132,9 +131,10 @@ static void begin(block_t *block) {
     rows->has_servo = has_servo(&task->configs[block->first]);
     rows->lossy = false;
     rows->step = 0;
+    block->moves = false;
     for (unsigned l = 0; l < SHOAL_LANES; l++) {
         const size_t fish = fish_of(block, l);
-        set_water(rows, l, &task->configs[fish], task->swims[fish]);
+        set_water(block, l, &task->configs[fish], task->swims[fish]);
         set_camera(rows, l, &task->configs[fish], task->swims[fish]);
     }
     clear_thrust(rows);
@@ -189,8 +189,9 @@ static void store_fit(block_t *block, shoal_window_t *window) {
     task->lanes->fit(&block->rows, window);
     for (unsigned l = 0; l < block->count; l++) {
         const size_t at = (block->first + l) * task->beats + (size_t)window->beat;
-        task->speed_m_s[at] = block->rows.speed_m_s[l];
-        task->sigma_m_s[at] = block->rows.sigma_m_s[l];
+        const bool hidden = disturbance_hides(&block->drawn[l], window->beat);
+        task->speed_m_s[at] = hidden ? (double)NAN : block->rows.speed_m_s[l];
+        task->sigma_m_s[at] = hidden ? (double)NAN : block->rows.sigma_m_s[l];
     }
     window->open = false;
 }
@@ -245,6 +246,23 @@ static void look(block_t *block) {
     }
 }
 
+/* The moving part of the flow, in the frame that has just been computed: held for that frame, as
+ * the world holds it. */
+static void move_water(block_t *block) {
+    shoal_block_t *rows = &block->rows;
+    const double since_s = (double)block->frame * rows->frame_s;
+    for (unsigned l = 0; l < block->count; l++) {
+        const double begin_m = rows->base_m[l] + rows->trace_way_m[0][l] + block->moved_m[l] +
+                               rows->flow_m_s[l] * fmod(since_s, block->task->beat_s);
+        const double by_m_s = disturbance_flow_m_s(&block->drawn[l], since_s, begin_m);
+        for (unsigned i = 0; i <= SUBSTEPS; i++) {
+            rows->trace_v_m_s[i][l] += by_m_s;
+            rows->trace_way_m[i][l] += block->moved_m[l] + by_m_s * rows->frame_s * i / SUBSTEPS;
+        }
+        block->moved_m[l] += by_m_s * rows->frame_s;
+    }
+}
+
 static void swim_frame(block_t *block, uint32_t frame, bool limp) {
     const tail_t *tail = block->task->tail;
     const double *sine = tail->sine + frame;
@@ -254,6 +272,9 @@ static void swim_frame(block_t *block, uint32_t frame, bool limp) {
         block->task->lanes->frame(&block->rows, sine[0], sine[1],
                                   limp ? still : tail->ripple + frame * SUBSTEPS);
     }
+    if (block->moves) {
+        move_water(block);
+    }
     look(block);
 }
 
@@ -261,8 +282,9 @@ static void begin_beat(block_t *block, size_t beat) {
     shoal_block_t *rows = &block->rows;
     const task_t *task = block->task;
     for (unsigned l = 0; l < SHOAL_LANES; l++) {
-        rows->base_m[l] += rows->way_m[l] + (beat > 0 ? rows->flow_m_s[l] * task->beat_s : 0);
-        rows->way_m[l] = 0;
+        rows->base_m[l] +=
+            rows->way_m[l] + block->moved_m[l] + (beat > 0 ? rows->flow_m_s[l] * task->beat_s : 0);
+        rows->way_m[l] = block->moved_m[l] = 0;
         rows->amplitude_rad[l] =
             beat < task->beats ? fabs(task->amplitude_rad[fish_of(block, l) * task->beats + beat])
                                : 0;
@@ -279,7 +301,7 @@ static void swim_beats(block_t *block) {
         }
         for (unsigned l = 0; l < block->count; l++) {
             task->true_m_s[(block->first + l) * task->beats + k] =
-                block->rows.way_m[l] / task->beat_s + block->rows.flow_m_s[l];
+                (block->rows.way_m[l] + block->moved_m[l]) / task->beat_s + block->rows.flow_m_s[l];
         }
     }
     /* The last beat's window closes a picture later, with the tail limp. */
@@ -316,9 +338,9 @@ static void swim_alone(block_t *block, size_t fish) {
     timed.beat_s = task->beat_s;
     tail_init(&block->tail, &timed, task->tail->frames_per_beat);
     plant_init(&block->plant, &timed);
-    const uint32_t swim = task->swims[fish];
-    plant_begin(&block->plant, fabs(disturbance(&timed, NOISE_START, swim, timed.start_sigma_m_s)),
-                gain_of(&timed, swim), 0);
+    disturbance_t drawn;
+    disturbance_draw(&drawn, &timed, task->swims[fish]);
+    plant_begin(&block->plant, drawn.start_m_s, drawn.gain, 0);
     block->first = fish;
     block->count = 1;
     block->alone = true;

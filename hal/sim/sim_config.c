@@ -60,6 +60,10 @@ static bool never_or_later(double after_s) {
 static bool water_valid(const sim_config_t *c) {
     return plant_config_valid(c) && tail_frames(c->beat_s) != 0 && within(c->gain_sigma, 0, 1) &&
            within(c->flow_sigma_m_s, 0, 10) && within(c->start_sigma_m_s, 0, 10) &&
+           within(c->flow_moves_m_s, 0, 10) && within(c->standing_wave_m_s, 0, 10) &&
+           within(c->drift_sigma, 0, 1) && within(c->drift_trend, -1, 1) &&
+           within(c->outliers, 0, 1) && within(c->place_sigma_m, 0, 1) &&
+           within(c->place_sigma_rad, 0, 1) && within(c->lost_beats, 0, 1) &&
            never_or_later(c->caught_after_s) && never_or_later(c->placed_after_s);
 }
 

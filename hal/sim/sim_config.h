@@ -34,11 +34,19 @@ typedef struct {
     double beat_s;          /* tail period of all plants; a multiple of 20 ms */
     double tail_centre_rad; /* the tail is mounted askew by this; its mean angle turns the fish */
     /* disturbances */
-    double gain_sigma;      /* relative thrust speed, per trial */
-    double flow_sigma_m_s;  /* constant per trial */
-    double start_sigma_m_s; /* |N| speed at the start */
-    double camera_noise_m;  /* white, per frame */
-    double camera_lost;     /* probability that a frame is lost */
+    double gain_sigma;        /* relative thrust speed, per trial */
+    double flow_sigma_m_s;    /* constant per trial */
+    double start_sigma_m_s;   /* |N| speed at the start */
+    double flow_moves_m_s;    /* standard deviation of what the flow changes within a trial */
+    double standing_wave_m_s; /* in the middle of the tank */
+    double drift_sigma;       /* random walk of the thrust speed, relative, per trial */
+    double drift_trend;       /* its trend per trial */
+    double outliers;          /* part of the trials with a thrust or flow far off */
+    double place_sigma_m;     /* where the hand puts the fish, either way ... */
+    double place_sigma_rad;   /* ... and its nose */
+    double lost_beats;        /* part of the beats of which the camera sees nothing */
+    double camera_noise_m;    /* white, per frame */
+    double camera_lost;       /* probability that a frame is lost */
     double camera_fps;
     double camera_exposure_s; /* up to 1 s, cut to a picture's period; 0 = a point in time */
     double camera_latency_s;  /* from mid-exposure to delivery, if over by then; at least 20 ms */
