@@ -1,9 +1,14 @@
 #include "felt.h"
 
+#include "noise.h"
+
 #include <math.h>
 
-#define ROLL_PER_TAIL 0.03
 #define PITCH_PER_TAIL2 0.02
+#define TWO_PI 6.28318530717958647692
+/* A hand trembles with up to some 8 Hz. */
+#define TREMOR_KNOT_US 60000u
+#define GRASP_S 0.3
 /* Faster than any servo: a limp tail of the thesis plant falls back within a frame. */
 #define SLOPE_MAX_RAD_S 40.0
 /* Somebody who rolls the fish is this quick. */
@@ -34,8 +39,38 @@ static void follow(felt_t *felt, felt_frame_t *frame, const plant_t *plant, doub
     }
 }
 
-void felt_frame(felt_t *felt, const plant_t *plant, double tail_from_rad, double tail_to_rad,
-                uint64_t begin_us, uint64_t end_us) {
+void felt_init(felt_t *felt, const sim_config_t *config) {
+    felt->roll_per_tail = config->roll_per_tail;
+    felt->cone_s = config->cone_per_tail * config->beat_s / TWO_PI;
+    felt->tremor_rad = config->tremor_rad;
+    felt->tremor_key = noise_key(config->seed, NOISE_TREMOR, 0);
+    felt->held = 1;
+}
+
+/* Smooth between independent values. */
+static void tremble(const felt_t *felt, uint64_t time_us, double out[3]) {
+    const uint64_t knot = time_us / TREMOR_KNOT_US;
+    const double u = (double)(time_us % TREMOR_KNOT_US) / TREMOR_KNOT_US;
+    const double part = u * u * (3 - 2 * u);
+    for (unsigned i = 0; i < 3; i++) {
+        const double from = noise_normal(felt->tremor_key, 3 * knot + i);
+        const double to = noise_normal(felt->tremor_key, 3 * knot + 3 + i);
+        out[i] = felt->held * felt->tremor_rad * (from + part * (to - from));
+    }
+}
+
+static void hold(felt_t *felt, felt_frame_t *frame, bool in_hand) {
+    if (felt->tremor_rad <= 0) {
+        return;
+    }
+    const double most = (double)(frame->end_us - frame->begin_us) * 1e-6 / GRASP_S;
+    tremble(felt, frame->begin_us, frame->tremor_rad[0]);
+    felt->held += limited((in_hand ? 1 : 0) - felt->held, most);
+    tremble(felt, frame->end_us, frame->tremor_rad[1]);
+}
+
+void felt_frame(felt_t *felt, const plant_t *plant, bool in_hand, double tail_from_rad,
+                double tail_to_rad, uint64_t begin_us, uint64_t end_us) {
     if (end_us <= begin_us) {
         return;
     }
@@ -48,6 +83,7 @@ void felt_frame(felt_t *felt, const plant_t *plant, double tail_from_rad, double
     frame->begin_us = begin_us;
     frame->end_us = end_us;
     follow(felt, frame, plant, length_s);
+    hold(felt, frame, in_hand);
     frame->tail_rad[0] = tail_from_rad;
     frame->tail_rad[1] = tail_to_rad;
     frame->tail_rate_rad_s[0] = rate_before;
@@ -79,7 +115,7 @@ static double along(const double ends[2], double part) {
 }
 
 /* |part| 0...1 of the frame. */
-static felt_moment_t moment(const felt_frame_t *frame, double part) {
+static felt_moment_t moment(const felt_t *felt, const felt_frame_t *frame, double part) {
     const double length_s = (double)(frame->end_us - frame->begin_us) * 1e-6;
     const double steps = part * SUBSTEPS;
     const unsigned i = steps < SUBSTEPS - 1 ? (unsigned)steps : SUBSTEPS - 1;
@@ -93,14 +129,19 @@ static felt_moment_t moment(const felt_frame_t *frame, double part) {
     const double rate = 6 * swing / length_s * u * w + r0 * w * (1 - 3 * u) + r1 * u * (3 * u - 2);
     const double heading = along(frame->heading_rad + i, steps - i);
     const double side = frame->sway_m_per_rad * rate;
+    double hand[3];
+    for (unsigned axis = 0; axis < 3; axis++) {
+        hand[axis] = frame->tremor_rad[0][axis] +
+                     u * (frame->tremor_rad[1][axis] - frame->tremor_rad[0][axis]);
+    }
     return (felt_moment_t){
         .x_m_s = along(frame->vx_m_s + i, steps - i) - side * sin(heading),
         .y_m_s = along(frame->vy_m_s + i, steps - i) + side * cos(heading),
         .heading_rad = heading,
-        .yaw_rad = heading + frame->yaw_per_tail * tail,
-        .pitch_rad = PITCH_PER_TAIL2 * tail * tail,
+        .yaw_rad = heading + frame->yaw_per_tail * tail + hand[0],
+        .pitch_rad = PITCH_PER_TAIL2 * tail * tail + felt->cone_s * rate + hand[1],
         .roll_rad = frame->tilt_rad[0] + u * (frame->tilt_rad[1] - frame->tilt_rad[0]) +
-                    ROLL_PER_TAIL * tail,
+                    felt->roll_per_tail * tail + hand[2],
     };
 }
 
@@ -110,8 +151,8 @@ felt_moment_t felt_at(const felt_t *felt, uint64_t time_us) {
     }
     const felt_frame_t *frame = frame_at(felt, time_us);
     if (time_us <= frame->begin_us || time_us >= frame->end_us) {
-        return moment(frame, time_us <= frame->begin_us ? 0 : 1);
+        return moment(felt, frame, time_us <= frame->begin_us ? 0 : 1);
     }
-    return moment(frame,
+    return moment(felt, frame,
                   (double)(time_us - frame->begin_us) / (double)(frame->end_us - frame->begin_us));
 }

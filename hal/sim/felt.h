@@ -21,9 +21,14 @@ typedef struct {
     double tail_rad[2], tail_rate_rad_s[2]; /* about the mean, at the ends */
     double tilt_rad[2];
     double yaw_per_tail, sway_m_per_rad;
+    double tremor_rad[2][3]; /* yaw, pitch, roll at the ends */
 } felt_frame_t;
 
 typedef struct {
+    double roll_per_tail, cone_s; /* the latter: pitch per rate of the tail */
+    uint64_t tremor_key;
+    double tremor_rad; /* of the hand that holds it; 0 = none */
+    double held;       /* 1 = by a hand, 0 = free */
     felt_frame_t frame[FELT_FRAMES];
     uint32_t frames;       /* added; the newest FELT_FRAMES are held */
     double carried_m_s[2]; /* felt velocity minus velocity over ground */
@@ -40,9 +45,12 @@ typedef struct {
     double yaw_rad, pitch_rad, roll_rad;
 } felt_moment_t;
 
-/* The frame that ends at |end_us|. |plant|: its trace is of that frame. */
-void felt_frame(felt_t *felt, const plant_t *plant, double tail_from_rad, double tail_to_rad,
-                uint64_t begin_us, uint64_t end_us);
+void felt_init(felt_t *felt, const sim_config_t *config);
+
+/* The frame that ends at |end_us|. |plant|: its trace is of that frame. |in_hand|: somebody holds
+ * the fish. */
+void felt_frame(felt_t *felt, const plant_t *plant, bool in_hand, double tail_from_rad,
+                double tail_to_rad, uint64_t begin_us, uint64_t end_us);
 
 /* The velocity over ground jumps without being felt, and the heading by |turn_rad|. */
 void felt_carried(felt_t *felt, double by_x_m_s, double by_y_m_s, double turn_rad);

@@ -14,6 +14,7 @@ void fish_init(fish_t *fish, const sim_config_t *config) {
     fish->placed = true;
     tail_init(&fish->tail, config, tail_frames(config->beat_s));
     plant_init(&fish->plant, config);
+    felt_init(&fish->felt, config);
     fish->silent_frames = SILENT_FRAMES;
     fish->next_swim_key = 1;
 }
@@ -122,8 +123,8 @@ bool fish_frame(fish_t *fish, uint64_t now_us, uint16_t next_pulse) {
     if (swimming) {
         record_beat(fish);
     }
-    felt_frame(&fish->felt, &fish->plant, fish->tail_from_rad, fish->tail_to_rad, fish->time_us,
-               now_us);
+    felt_frame(&fish->felt, &fish->plant, !swimming, fish->tail_from_rad, fish->tail_to_rad,
+               fish->time_us, now_us);
     fish->frame_us = now_us - fish->time_us;
     fish->time_us = now_us;
     fish->pulse = next_pulse;

@@ -23,7 +23,9 @@ typedef enum {
     NOISE_OUTLIER,
     NOISE_FLOW_WAVES,
     NOISE_PLACE,
-    NOISE_LOST_BEAT
+    NOISE_LOST_BEAT,
+    NOISE_IMU_UNIT,
+    NOISE_TREMOR
 } noise_stream_t;
 
 /* Names one sequence of samples. */

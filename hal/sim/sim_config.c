@@ -27,6 +27,8 @@ void sim_config_default(sim_config_t *config, sim_plant_t plant) {
         .camera_latency_s = 0.08,
         .caught_after_s = 1,
         .placed_after_s = 5,
+        .imu_bias_mg = 5,
+        .roll_per_tail = 0.03,
         .imu_firmware = 3,
         .imu_baud = 115200,
         .imu_port = 2,
@@ -75,9 +77,12 @@ static bool camera_valid(const sim_config_t *c) {
 
 static bool imu_valid(const sim_config_t *c) {
     const bool firmware = c->imu_firmware == 0 || c->imu_firmware == 2 || c->imu_firmware == 3;
-    return within(c->imu_noise, 0, 1e3) && firmware && (c->imu_port == 1 || c->imu_port == 2) &&
-           vn100_baud_valid(c->imu_baud) && within(c->imu_bit_errors, 0, 1) &&
-           within(c->imu_lost_bytes, 0, 1);
+    return within(c->imu_noise, 0, 1e3) && within(c->imu_bias_mg, 0, 1e3) &&
+           within(c->imu_accel_scale, 0, 0.1) && within(c->imu_rate_scale, 0, 0.1) &&
+           within(c->imu_misaligned_rad, 0, 0.1) && within(c->roll_per_tail, -1, 1) &&
+           within(c->cone_per_tail, -1, 1) && within(c->tremor_rad, 0, 0.1) && firmware &&
+           (c->imu_port == 1 || c->imu_port == 2) && vn100_baud_valid(c->imu_baud) &&
+           within(c->imu_bit_errors, 0, 1) && within(c->imu_lost_bytes, 0, 1);
 }
 
 /* A link of 0 bytes per second is not limited. */

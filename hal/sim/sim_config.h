@@ -54,12 +54,18 @@ typedef struct {
     double placed_after_s; /* after it somebody has put it back at the start, once it is caught; 0 =
                               when the next swim begins */
     double imu_noise;      /* scale of the VN-100's specified noise; 0 = none */
-    double imu_firmware;   /* its major version: 2, 3; 0 = there is no IMU */
-    double imu_baud;       /* that its port on the fish's wires has saved */
-    double imu_port;       /* of the sensor that the fish's wires are on: 1, 2 */
-    double imu_bit_errors; /* probability per bit on its wires, either direction */
-    double imu_lost_bytes; /* probability per byte */
-    double battery_v;      /* fresh pack */
+    double imu_bias_mg;    /* constant of the unit, standard deviation; times imu_noise */
+    double imu_accel_scale, imu_rate_scale; /* standard deviation of the axes' scale errors */
+    double imu_misaligned_rad;              /* ... of their directions */
+    double roll_per_tail;                   /* how far the fish rolls with its tail, rad per rad */
+    double cone_per_tail;                   /* ... and pitches a quarter beat before */
+    double tremor_rad;                      /* of the hand that holds it between trials */
+    double imu_firmware;                    /* its major version: 2, 3; 0 = there is no IMU */
+    double imu_baud;                        /* that its port on the fish's wires has saved */
+    double imu_port;                        /* of the sensor that the fish's wires are on: 1, 2 */
+    double imu_bit_errors;                  /* probability per bit on its wires, either direction */
+    double imu_lost_bytes;                  /* probability per byte */
+    double battery_v;                       /* fresh pack */
     double battery_sag_v_per_trial;
     double battery_load_v;   /* pulled down by a tail that beats at 45 degrees */
     double link_bytes_per_s; /* of each direction; 0 = unlimited */

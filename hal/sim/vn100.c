@@ -42,7 +42,13 @@ void vn100_init(vn100_t *vn100, const sim_config_t *config, const felt_t *felt) 
     vn100_settings_restore(&vn100->saved, vn100->firmware);
     save_baud(&vn100->saved, vn100->wire, (uint32_t)config->imu_baud);
     vn100->settings = vn100->saved;
-    vn100_sense_init(&vn100->sense, config->seed, config->imu_noise, felt);
+    const vn100_flaws_t flaws = {
+        .accel_bias_mg = config->imu_bias_mg,
+        .accel_scale = config->imu_accel_scale,
+        .rate_scale = config->imu_rate_scale,
+        .misaligned_rad = config->imu_misaligned_rad,
+    };
+    vn100_sense_init(&vn100->sense, config->seed, config->imu_noise, flaws, felt);
 }
 
 /* Outputs. */

@@ -27,20 +27,36 @@
 /* Numbers of one sample: acceleration 0...2, rate 3...5, jitter 6, magnetometer 8...10. */
 #define DRAWS 16u
 
-void vn100_sense_init(vn100_sense_t *sense, uint64_t seed, double noise, const felt_t *felt) {
+/* One unit: its axes are off by a little, and told a little too large or small. */
+static void draw_matrix(const vn100_sense_t *s, unsigned first, double scale, double matrix[9]) {
+    const uint64_t unit = noise_key(s->seed, NOISE_IMU_UNIT, first);
+    for (unsigned i = 0; i < 9; i++) {
+        const bool same = i % 4 == 0;
+        matrix[i] =
+            (same ? 1 : 0) + (same ? scale : s->flaws.misaligned_rad) * noise_normal(unit, i);
+    }
+}
+
+void vn100_sense_init(vn100_sense_t *sense, uint64_t seed, double noise, vn100_flaws_t flaws,
+                      const felt_t *felt) {
     memset(sense, 0, sizeof *sense);
     sense->seed = seed;
     sense->noise = noise;
+    sense->flaws = flaws;
     sense->felt = felt;
+    sense->flawed = flaws.accel_scale > 0 || flaws.rate_scale > 0 || flaws.misaligned_rad > 0;
+    draw_matrix(sense, 0, flaws.accel_scale, sense->accel_matrix);
+    draw_matrix(sense, 1, flaws.rate_scale, sense->rate_matrix);
 }
 
-/* Constant of the unit: 5 mg, a measured one was 16 mg off. New at every start: 0.04 mg, 7 deg/h,
- * 0.5 deg of pitch and roll, 2 deg of heading. */
+/* Constant of the unit: accel_bias_mg (a measured one was 16 mg off). New at every start: 0.04 mg,
+ * 7 deg/h, 0.5 deg of pitch and roll, 2 deg of heading. */
 static void draw_biases(vn100_sense_t *s) {
     const uint64_t unit = noise_key(s->seed, NOISE_IMU_BIAS, UINT32_MAX);
     const uint64_t run = noise_key(s->seed, NOISE_IMU_BIAS, s->starts);
     for (unsigned i = 0; i < 3; i++) {
-        s->bias[i] = s->noise * MG * (5 * noise_normal(unit, i) + 0.04 * noise_normal(run, i));
+        s->bias[i] = s->noise * MG *
+                     (s->flaws.accel_bias_mg * noise_normal(unit, i) + 0.04 * noise_normal(run, i));
         s->bias[3 + i] = s->noise * 7 * DEG_PER_HOUR * noise_normal(run, 3 + i);
         s->attitude_bias_deg[i] = s->noise * (i == 0 ? 2.0 : 0.5) * noise_normal(run, 6 + i);
     }
@@ -180,16 +196,13 @@ static span_t span_of(vn100_sense_t *s, uint64_t tick, uint64_t window) {
 static double limited(double x, double most) { return x > most ? most : x < -most ? -most : x; }
 
 /* Specific force. */
-static void feel_accel(const span_t *span, const double error[3], double out[3]) {
+static void feel_accel(const span_t *span, double out[3]) {
     const double level[3] = {(span->to.x_m_s - span->from.x_m_s) / span->span_s,
                              (span->to.y_m_s - span->from.y_m_s) / span->span_s, -G_M_S2};
     multiply_transposed(span->body, level, out);
-    for (unsigned i = 0; i < 3; i++) {
-        out[i] = limited(out[i] + error[i], ACCEL_MAX_M_S2);
-    }
 }
 
-static void feel_rate(const span_t *span, const double error[3], double out[3]) {
+static void feel_rate(const span_t *span, double out[3]) {
     const double yaw = (span->to.yaw_rad - span->from.yaw_rad) / span->span_s;
     const double pitch = (span->to.pitch_rad - span->from.pitch_rad) / span->span_s;
     const double roll = (span->to.roll_rad - span->from.roll_rad) / span->span_s;
@@ -201,8 +214,16 @@ static void feel_rate(const span_t *span, const double error[3], double out[3]) 
     out[0] = roll + yaw * down[0];
     out[1] = pitch * cos_roll + yaw * down[1];
     out[2] = -pitch * sin_roll + yaw * down[2];
+}
+
+/* |matrix| NULL: the identity. */
+static void spoil(const double *matrix, const double error[3], double most, double v[3]) {
+    double told[3] = {v[0], v[1], v[2]};
+    if (matrix != NULL) {
+        multiply(matrix, v, told);
+    }
     for (unsigned i = 0; i < 3; i++) {
-        out[i] = limited(out[i] + error[i], RATE_MAX_RAD_S);
+        v[i] = limited(told[i] + error[i], most);
     }
 }
 
@@ -276,8 +297,10 @@ static void measure(vn100_sense_t *s, const vn100_settings_t *settings, uint64_t
     }
     const span_t span = span_of(s, tick, accel_window);
     const span_t turned = rate_window == accel_window ? span : span_of(s, tick, rate_window);
-    feel_accel(&span, accel_error, sample->accel_m_s2);
-    feel_rate(&turned, rate_error, sample->rate_rad_s);
+    feel_accel(&span, sample->accel_m_s2);
+    feel_rate(&turned, sample->rate_rad_s);
+    spoil(s->flawed ? s->accel_matrix : NULL, accel_error, ACCEL_MAX_M_S2, sample->accel_m_s2);
+    spoil(s->flawed ? s->rate_matrix : NULL, rate_error, RATE_MAX_RAD_S, sample->rate_rad_s);
     multiply(span.body, sample->accel_m_s2, level);
     level[2] -= settings->value[VN100_GRAVITY];
     lean(s, level, passed > 0 ? passed : accel_window, own_s);

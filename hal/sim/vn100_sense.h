@@ -30,11 +30,21 @@ typedef struct {
     uint16_t vpe_status;
 } vn100_surroundings_t;
 
+/* Of a unit that was not calibrated, as standard deviations. */
+typedef struct {
+    double accel_bias_mg;           /* constant of the unit */
+    double accel_scale, rate_scale; /* relative, each axis its own */
+    double misaligned_rad;          /* each axis against the others, and all of them in the fish */
+} vn100_flaws_t;
+
 typedef struct {
     const felt_t *felt;
     uint64_t seed, starts;
     double noise;
-    uint64_t power_us; /* when its clock began */
+    vn100_flaws_t flaws;
+    bool flawed;                            /* either matrix is not the identity */
+    double accel_matrix[9], rate_matrix[9]; /* of this unit: what is there to what is told */
+    uint64_t power_us;                      /* when its clock began */
     uint64_t key;
     bool known_accel; /* $VNKAD: the accelerometer is left out of the attitude */
     double tare_deg[3];
@@ -54,7 +64,8 @@ typedef struct {
     felt_moment_t from;
 } vn100_sense_t;
 
-void vn100_sense_init(vn100_sense_t *sense, uint64_t seed, double noise, const felt_t *felt);
+void vn100_sense_init(vn100_sense_t *sense, uint64_t seed, double noise, vn100_flaws_t flaws,
+                      const felt_t *felt);
 /* The sensor starts with its clock at 0. */
 void vn100_sense_start(vn100_sense_t *sense, uint64_t now_us, const vn100_settings_t *settings);
 
