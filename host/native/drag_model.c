@@ -3,7 +3,10 @@
 #include <math.h>
 #include <string.h>
 
-enum { BY_KAPPA, BY_DELAY, BY_START, BY_MODEL };
+enum { BY_KAPPA, BY_DELAY, BY_START, BY_LINEAR, BY_SHARE, BY_WAKE_S, BY_MODEL };
+_Static_assert(BY_MODEL == DRAG_MODEL_NUMBERS, "a derivative for each number");
+
+#define WAKE_PIECES 8u /* of a beat; over each the wake's share is its mean */
 
 /* Over a piece of time with w held: way and speed at its end, and what they owe to what. */
 typedef struct {
@@ -13,12 +16,12 @@ typedef struct {
     double way_by_kappa, v_by_kappa;
 } piece_t;
 
-/* The whole state: distance and speed, with their derivatives. */
+/* The whole state: distance, speed and wake, with their derivatives. */
 typedef struct {
     const drag_model_t *model;
-    double x_m, v_m_s;
-    double *x_by_w, *v_by_w; /* the row that is being filled; NULL = not asked for */
-    double x_by[BY_MODEL], v_by[BY_MODEL];
+    double x_m, v_m_s, wake;
+    double *x_by_w, *v_by_w, *wake_by_w; /* the row that is being filled; NULL = not asked for */
+    double x_by[BY_MODEL], v_by[BY_MODEL], wake_by[BY_MODEL];
 } swim_t;
 
 /* With c = cosh z, s = kt*sinh(z)/z, z = kt*sqrt(w), all scaled by exp(-z) so that nothing
@@ -52,39 +55,130 @@ static piece_t piece(double kappa, double w, double v, double time_s) {
     };
 }
 
-/* Lets |beat|'s thrust act for |time_s|; one before the first is none. */
-static void advance(swim_t *swim, const double *w, ptrdiff_t beat, double time_s) {
-    const piece_t p = piece(swim->model->kappa_per_m, beat >= 0 ? w[beat] : 0, swim->v_m_s, time_s);
-    swim->x_m += p.way_m;
-    swim->v_m_s = p.v_m_s;
+/* What the wake does in a piece of time: it keeps |kept| of what it was, and its mean |mean| of
+ * what it differs from the thrust at the begin. */
+typedef struct {
+    double kept, mean;
+    double kept_by_s, mean_by_s; /* by the time constant */
+} fading_t;
+
+static fading_t fading(double wake_s, double time_s) {
+    const double ratio = time_s / wake_s;
+    const double kept = exp(-ratio);
+    const double gone = -expm1(-ratio);
+    return (fading_t){
+        .kept = kept,
+        .mean = gone / ratio,
+        .kept_by_s = kept * ratio / wake_s,
+        .mean_by_s = gone / time_s - kept / wake_s,
+    };
+}
+
+/* One piece with |thrust| held: u = v + linear/2 obeys du/dt = kappa*(f + linear^2/4 - u^2).
+ * |f_by|: derivatives of the force f to the model's numbers. */
+static piece_t move(swim_t *swim, double force, const double f_by[BY_MODEL], double time_s) {
+    const double half = 0.5 * swim->model->linear_m_s;
+    const piece_t p =
+        piece(swim->model->kappa_per_m, force + half * half, swim->v_m_s + half, time_s);
+    swim->x_m += p.way_m - half * time_s;
+    swim->v_m_s = p.v_m_s - half > 0 ? p.v_m_s - half : 0;
     for (size_t i = 0; i < BY_MODEL; i++) {
-        swim->x_by[i] += p.way_by_v * swim->v_by[i];
-        swim->v_by[i] *= p.v_by_v;
+        const double h = f_by[i] + (i == BY_LINEAR ? half : 0);
+        const double u = swim->v_by[i] + (i == BY_LINEAR ? 0.5 : 0);
+        swim->x_by[i] += p.way_by_v * u + p.way_by_w * h - (i == BY_LINEAR ? 0.5 * time_s : 0);
+        swim->v_by[i] = p.v_by_v * u + p.v_by_w * h - (i == BY_LINEAR ? 0.5 : 0);
     }
     swim->x_by[BY_KAPPA] += p.way_by_kappa;
     swim->v_by[BY_KAPPA] += p.v_by_kappa;
-    if (swim->x_by_w == NULL) {
-        return;
-    }
+    return p;
+}
+
+static void add_to_beat(swim_t *swim, const piece_t *p, size_t beat, double force_by_w) {
+    swim->x_by_w[beat] += p->way_by_w * force_by_w;
+    swim->v_by_w[beat] += p->v_by_w * force_by_w;
+}
+
+static void carry_beats(swim_t *swim, const piece_t *p, ptrdiff_t beat) {
     for (ptrdiff_t j = 0; j <= beat; j++) {
-        swim->x_by_w[j] += p.way_by_v * swim->v_by_w[j];
-        swim->v_by_w[j] *= p.v_by_v;
-    }
-    if (beat >= 0) {
-        swim->x_by_w[beat] += p.way_by_w;
-        swim->v_by_w[beat] += p.v_by_w;
+        swim->x_by_w[j] += p->way_by_v * swim->v_by_w[j];
+        swim->v_by_w[j] *= p->v_by_v;
     }
 }
 
-/* A later switch prolongs the old thrust: the speed has gained kappa*(old - new) more by then. */
+/* Without a wake. */
+static void advance_at_once(swim_t *swim, double thrust, ptrdiff_t beat, double time_s) {
+    static const double nothing[BY_MODEL] = {0};
+    const piece_t p = move(swim, thrust, nothing, time_s);
+    if (swim->x_by_w != NULL) {
+        carry_beats(swim, &p, beat);
+        if (beat >= 0) {
+            add_to_beat(swim, &p, (size_t)beat, 1);
+        }
+    }
+}
+
+/* With one, over a piece that is short beside its time constant. */
+static void advance_late(swim_t *swim, double thrust, ptrdiff_t beat, double time_s) {
+    const double share = swim->model->wake_share;
+    const fading_t f = fading(swim->model->wake_s, time_s);
+    const double off = swim->wake - thrust;
+    double f_by[BY_MODEL];
+    for (size_t i = 0; i < BY_MODEL; i++) {
+        f_by[i] = share * f.mean * swim->wake_by[i];
+        swim->wake_by[i] *= f.kept;
+    }
+    f_by[BY_SHARE] += f.mean * off;
+    f_by[BY_WAKE_S] += share * f.mean_by_s * off;
+    swim->wake_by[BY_WAKE_S] += f.kept_by_s * off;
+    const piece_t p = move(swim, thrust + share * f.mean * off, f_by, time_s);
+    swim->wake = thrust + f.kept * off;
+    if (swim->x_by_w == NULL) {
+        return;
+    }
+    carry_beats(swim, &p, beat);
+    for (ptrdiff_t j = 0; j <= beat; j++) {
+        add_to_beat(swim, &p, (size_t)j, share * f.mean * swim->wake_by_w[j]);
+        swim->wake_by_w[j] *= f.kept;
+    }
+    if (beat >= 0) {
+        add_to_beat(swim, &p, (size_t)beat, 1 - share * f.mean);
+        swim->wake_by_w[beat] += 1 - f.kept;
+    }
+}
+
+/* Lets |beat|'s thrust act for |time_s|; one before the first is none. */
+static void advance(swim_t *swim, const double *w, ptrdiff_t beat, double time_s) {
+    const double thrust = beat >= 0 ? w[beat] : 0;
+    if (time_s <= 0) {
+        return;
+    }
+    if (swim->model->wake_share <= 0) {
+        advance_at_once(swim, thrust, beat, time_s);
+        return;
+    }
+    const double pieces = ceil(time_s / swim->model->beat_s * WAKE_PIECES - 1e-9);
+    for (unsigned i = 0; i < (unsigned)pieces; i++) {
+        advance_late(swim, thrust, beat, time_s / pieces);
+    }
+}
+
+/* A later switch prolongs the old thrust: the speed has gained kappa*(old - new) more by then, of
+ * what acts at once, and the wake is behind. */
 static void switched_later(swim_t *swim, double old_w, double new_w) {
-    swim->v_by[BY_DELAY] += swim->model->kappa_per_m * (old_w - new_w);
+    const double share = swim->model->wake_share;
+    swim->v_by[BY_DELAY] += swim->model->kappa_per_m * (1 - share) * (old_w - new_w);
+    if (share > 0) {
+        swim->wake_by[BY_DELAY] += (old_w - new_w) / swim->model->wake_s;
+    }
 }
 
 static bool valid(const drag_model_t *model, const double *w, size_t beats, size_t parts) {
     bool fine = model->kappa_per_m > 0 && isfinite(model->kappa_per_m) && model->delay_s >= 0 &&
                 isfinite(model->delay_s) && model->start_m_s >= 0 && isfinite(model->start_m_s) &&
-                model->beat_s > 0 && isfinite(model->beat_s) && parts > 0;
+                model->beat_s > 0 && isfinite(model->beat_s) && parts > 0 &&
+                model->linear_m_s >= 0 && isfinite(model->linear_m_s) && model->wake_share >= 0 &&
+                model->wake_share <= 1 &&
+                (model->wake_share <= 0 || (model->wake_s > 0 && isfinite(model->wake_s)));
     for (size_t k = 0; k < beats; k++) {
         fine = fine && w[k] >= 0 && isfinite(w[k]);
     }
@@ -103,13 +197,14 @@ bool drag_model_distance(const drag_model_t *model, const double *w, size_t beat
     if (!valid(model, w, beats, parts) || beats > DRAG_MODEL_BEATS_MAX) {
         return false;
     }
-    double v_by_w[DRAG_MODEL_BEATS_MAX] = {0};
+    double v_by_w[DRAG_MODEL_BEATS_MAX] = {0}, wake_by_w[DRAG_MODEL_BEATS_MAX] = {0};
     swim_t swim = {.model = model, .v_m_s = model->start_m_s};
     swim.v_by[BY_START] = 1;
     if (by_w != NULL) {
         memset(by_w, 0, (beats * parts + 1) * beats * sizeof *by_w);
         swim.x_by_w = by_w;
         swim.v_by_w = v_by_w;
+        swim.wake_by_w = wake_by_w;
     }
     note(&swim, 0, distance_m, by_model);
     const double part_s = model->beat_s / (double)parts;

@@ -67,12 +67,12 @@ class FishModel:
         rows = len(w) * parts + 1
         distance = np.empty(rows)
         by_w = np.empty((rows, len(w))) if slopes else None
-        by_model = np.empty((rows, 3)) if slopes else None
+        by_model = np.empty((rows, 6)) if slopes else None
 
         def pointer(array: F64 | None) -> object:
             return ffi.NULL if array is None else ffi.from_buffer("double[]", array)
 
-        model = ffi.new("drag_model_t *", (self.kappa_per_m, self.delay_s, start_m_s, beat_s))
+        model = ffi.new("drag_model_t *", (self.kappa_per_m, self.delay_s, start_m_s, beat_s, 0, 0, 1))
         if not lib.drag_model_distance(
             model, pointer(w), len(w), parts, pointer(distance), pointer(by_w), pointer(by_model)
         ):
