@@ -31,6 +31,7 @@ from tailbeat.learning.law_prediction import (
 from tailbeat.learning.planner import Plan, plan
 
 LEAD_MAX_BEATS = 16.0
+_SLOPES = 5  # speeds at which the map's slope is looked at
 _Q_LENS = (1, 2, 3, 4, 6, 8)
 _GAIN_MIN = 0.05  # of static_gain_best
 _GAIN_STEP = 0.01
@@ -115,9 +116,10 @@ def design(
     """
     _check(gain, lead_beats, q_len, reference)
     models = [identified.model, *identified.models]
-    slopes = [model.slope_m_s_rad for model in models]
-    best, limit = 2 / (min(slopes) + max(slopes)), 2 / max(slopes)
     plants = plants_of(models, reference, amplitude_max_rad)
+    speeds = np.linspace(*plants.speeds_m_s, _SLOPES)
+    slopes = np.concatenate([model.steady_slope(speeds) for model in models])
+    best, limit = float(2 / (slopes.min() + slopes.max())), float(2 / slopes.max())
     leads = [lead_beats] if lead_beats is not None else _leads(models, reference)
     lengths = [q_len] if q_len is not None else [1]
     if q_len is None and lead_beats is None:

@@ -37,20 +37,21 @@ class ModelPlant:
     beat's begin to its thrust."""
 
     def __init__(self, model: FishModel, beat_s: float, amplitude_max_rad: float) -> None:
-        self.w_max = max(float(model.steady_m_s(amplitude_max_rad)), _SPEED_MIN_M_S) ** 2
+        strongest_rad = model.strongest_rad(amplitude_max_rad)
+        self.w_max = max(float(model.root(strongest_rad)), _SPEED_MIN_M_S) ** 2
         self.delay_s = model.delay_s
         self._model, self._beat_s = model, beat_s
-        self._amplitude_max = amplitude_max_rad
+        self._amplitude_max = strongest_rad
 
     def amplitude_rad(self, w: F64) -> F64:
         """The smallest amplitude that gives w; for 0 the edge of the dead zone, from where thrust
         is soonest reached."""
-        amplitude = self._model.amplitude_rad(np.sqrt(np.maximum(w, 0)))
+        amplitude = self._model.amplitude_of_root(np.sqrt(np.maximum(w, 0)))
         return np.asarray(np.clip(amplitude, 0, self._amplitude_max))
 
     def thrust(self, amplitude_rad: F64) -> F64:
         """w of amplitudes, at most ``w_max``."""
-        return np.minimum(self._model.steady_m_s(amplitude_rad) ** 2, self.w_max)
+        return np.minimum(self._model.thrust(amplitude_rad), self.w_max)
 
     def beats(self, w: F64) -> F64:
         """Mean speed of every beat, m/s."""

@@ -1,10 +1,11 @@
-"""The four numbers of a fish from its trials, with priors and error bars.
+"""The numbers of a fish from its trials, with priors and error bars.
 
-Maximum a posteriori over (log kappa, log slope, dead zone, delay), shared by all trials, and for
-each trial its own start speed, flow and gain, which are kept near (0, 0, 1) by what is known of how
-trials differ. Every beat counts by its measurement's sigma and the model's own imperfection. The
-delay is told best by trials whose amplitude changes gently from beat to beat: in a hard step the
-servo hides it.
+Maximum a posteriori over the eight numbers of the model, shared by all trials, and for each trial
+its own start speed, flow and gain, which are kept near their centres by how trials scatter. The
+noise of beats is the measurement's, what the model leaves out of each, and a flow that moves within
+the trial, which neighbouring beats share. The shape is drawn towards a fish without one: only what
+the trials show is taken from them. The delay is told best by trials whose amplitude changes gently
+from beat to beat: in a hard step the servo hides it.
 
 How far amplitudes carry a fish, and one that is as strong as may still be believed.
 """
@@ -20,24 +21,42 @@ from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
+from tailbeat.learning.fish_model import (
+    BY_DELAY,
+    BY_KAPPA,
+    BY_LINEAR,
+    BY_SHARE,
+    BY_START,
+    BY_WAKE_S,
+    NUMBERS,
+    Conditions,
+    FishModel,
+    TrialSpeeds,
+)
+from tailbeat.learning.scatter import Scatter, beat_covariance, learned, weights_of
 
 
 @dataclass(frozen=True)
 class Prior:
     """What is believed of a fish before its trials: a model and how wrong it may be. Sigmas of
-    kappa and slope are relative (of the logarithm)."""
+    kappa, slope and wake_s are relative (of the logarithm)."""
 
-    model: FishModel = field(default_factory=lambda: FishModel(10.0, 0.219, 0.197, 0.3))
+    model: FishModel = field(
+        default_factory=lambda: FishModel(10.0, 0.19, 0.15, 0.3, 0.0, 0.004, 0.15, 1.0)
+    )
     kappa: float = 0.8
-    slope: float = 0.3
-    dead_zone_rad: float = 0.08
+    slope: float = 0.5
+    dead_zone_rad: float = 0.10
     delay_s: float = 0.25
+    bend_per_rad: float = 0.7
+    linear_drag_m_s: float = 0.006
+    wake_share: float = 0.15
+    wake_s: float = 0.5
 
     @property
     def sigma(self) -> F64:
-        """In the order of PARAMS."""
-        return np.array([self.kappa, self.slope, self.dead_zone_rad, self.delay_s])
+        """In the order of NUMBERS."""
+        return np.array(list(vars(self).values())[1:], dtype=np.float64)
 
     @property
     def covariance(self) -> F64:
@@ -46,65 +65,99 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class Scatter:
-    """How trials of one fish differ, as standard deviations; 0 = never differs. ``model_m_s``: of a
-    beat's speed, for what the model leaves out."""
-
-    gain: float = 0.02
-    flow_m_s: float = 0.0015
-    start_m_s: float = 0.002
-    model_m_s: float = 0.001
-    switch: float = 0.05
-
-    def draw(self, rng: np.random.Generator) -> Conditions:
-        """How one trial differs from the others."""
-        return Conditions(
-            start_m_s=abs(rng.normal(0, self.start_m_s)),
-            flow_m_s=rng.normal(0, self.flow_m_s),
-            gain=max(rng.normal(1, self.gain), 0.0),
-        )
-
-
-@dataclass(frozen=True)
 class Fit:
-    """``covariance``: 4 x 4, of (log kappa, log slope, dead zone, delay). ``conditions``: one per
-    trial. ``residual_m_s``: per trial, measured minus model, NaN where not measured.
-    ``rms_m_s``: of all residuals; ``beats``: how many there are. ``log_evidence``: of the prior, by
-    Laplace's approximation; for comparing priors on the same trials and scatter."""
+    """``covariance``: 8 x 8, of the model as ``vector_of`` has it. ``conditions``: one per trial;
+    ``condition_variance``: of its (start, flow, log gain), shape (trials, 3). ``residual_m_s``: per
+    trial, measured minus model, NaN where not measured. ``rms_m_s``: of all residuals; ``beats``:
+    how many there are. ``vector``: all unknowns, for a fit that begins where this one ended."""
 
     model: FishModel
     covariance: F64
     conditions: list[Conditions]
+    condition_variance: F64
     residual_m_s: list[F64]
     rms_m_s: float
     beats: int
-    log_evidence: float = 0.0
+    vector: F64
 
 
-_ITERATIONS_MAX = 40
-_CONVERGED = 1e-9  # of the cost
+_ITERATIONS_MAX = 60
+_CONVERGED = 1e-7  # of the cost
 _DELAY_MAX_BEATS = 4.0
 _CONDITIONS = 3  # start, flow, log gain of every trial
-_SHARED = 4
+_SHARED = len(NUMBERS)
 _KAPPA_RANGE = (0.05, 2000.0)
-_START_SIGMA_MIN_M_S = 1e-4
+_BEND_RANGE = (-3.0, 4.0)
+_SHARE_RANGE = (1e-3, 0.9)  # without any share nothing tells of its time constant
+_WAKE_RANGE_S = (0.2, 6.0)
 _SIGMA_MIN = 1e-4
 _BLOCK_BEATS = 3
 
 
 def fit(
-    trials: Sequence[TrialSpeeds], prior: Prior | None = None, scatter: Scatter | None = None
+    trials: Sequence[TrialSpeeds],
+    prior: Prior | None = None,
+    scatter: Scatter | None = None,
+    weights: F64 | None = None,
+    centres: F64 | None = None,
+    begin: F64 | None = None,
 ) -> Fit:
     """The most probable model. Raises InputError when no beat has a speed.
 
-    Costs about 5 ms for four trials of 40 beats.
+    ``weights``: how much each trial counts (None = 1). ``centres``: (flow, log gain) that each
+    trial is expected to have, shape (trials, 2); None = 0. ``begin``: ``vector`` of a fit to the
+    first of these trials. Costs about 10 ms for four trials of 40 beats.
     """
     if not any(trial.measured.any() for trial in trials):
         raise InputError(
             "no beat of these trials has a speed.", "Look at the camera, or upload the speeds."
         )
-    problem = _Problem(trials, prior or Prior(), scatter or Scatter())
-    return problem.solved(_levenberg_marquardt(problem))
+    count = len(trials)
+    problem = _Problem(
+        trials,
+        prior or Prior(),
+        scatter or Scatter(),
+        np.ones(count) if weights is None else weights,
+        np.zeros((count, 2)) if centres is None else centres,
+    )
+    return problem.solved(_levenberg_marquardt(problem, problem.start(begin)))
+
+
+@dataclass(frozen=True)
+class Robust:
+    """A fit, the scatter of the trials that it was learned with, and how much each counts."""
+
+    fit: Fit
+    scatter: Scatter
+    weights: F64
+
+
+def fit_robust(
+    trials: Sequence[TrialSpeeds],
+    prior: Prior | None = None,
+    usual: Scatter | None = None,
+    most: F64 | None = None,
+    centres: F64 | None = None,
+    last: Robust | None = None,
+    rounds: int = 3,
+) -> Robust:
+    """The fit, the scatter and the weights in turn, ``rounds`` times. ``usual``: the scatter of any
+    fish. ``most``: that a trial may count. ``last``: the answer for the first of these trials."""
+    count = len(trials)
+    most = np.ones(count) if most is None else most
+    centres = np.zeros((count, 2)) if centres is None else centres
+    usual = usual or Scatter()
+    scatter, begin, weights = usual, None, most
+    if last is not None:
+        scatter, begin = last.scatter, last.fit.vector
+        weights = np.minimum(most, np.append(last.weights, np.ones(count))[:count])
+    for _ in range(rounds):
+        found = fit(trials, prior, scatter, weights, centres, begin)
+        begin = found.vector
+        own = begin[_SHARED:].reshape(-1, _CONDITIONS) - np.pad(centres, ((0, 0), (1, 0)))
+        weights = np.minimum(weights_of(own[:, 1:], scatter), most)
+        scatter = learned(trials, found.residual_m_s, own, found.condition_variance, weights, usual)
+    return Robust(found, scatter, weights)
 
 
 def sample(found: Fit, count: int = 40, seed: int = 1) -> list[FishModel]:
@@ -155,147 +208,175 @@ def _resampled(
 
 
 def vector_of(model: FishModel) -> F64:
-    """(log kappa, log slope, dead zone, delay): what a ``covariance`` is of."""
+    """(log kappa, log slope, dead zone, delay, bend, linear drag, wake share, log wake time): what
+    a ``covariance`` is of."""
+    m = model
     return np.array(
-        [math.log(model.kappa_per_m), math.log(model.slope_m_s_rad), model.dead_zone_rad,
-         model.delay_s]
+        [math.log(m.kappa_per_m), math.log(m.slope_m_s_rad), m.dead_zone_rad, m.delay_s,
+         m.bend_per_rad, m.linear_drag_m_s, m.wake_share, math.log(m.wake_s)]
     )  # fmt: skip
 
 
 def model_of(shared: F64) -> FishModel:
     """The other way, within what a fish can be."""
-    low, high = _KAPPA_RANGE
+    share = min(max(float(shared[6]), 0.0), _SHARE_RANGE[1])
     return FishModel(
-        kappa_per_m=min(max(math.exp(shared[0]), low), high),
+        kappa_per_m=min(max(math.exp(shared[0]), _KAPPA_RANGE[0]), _KAPPA_RANGE[1]),
         slope_m_s_rad=math.exp(shared[1]),
         dead_zone_rad=max(float(shared[2]), 0.0),
         delay_s=max(float(shared[3]), 0.0),
+        bend_per_rad=min(max(float(shared[4]), _BEND_RANGE[0]), _BEND_RANGE[1]),
+        linear_drag_m_s=max(float(shared[5]), 0.0),
+        wake_share=share,
+        wake_s=min(max(math.exp(shared[7]), _WAKE_RANGE_S[0]), _WAKE_RANGE_S[1]),
     )
 
 
-class _Problem:
-    """Residuals over sigma and their Jacobian, as functions of one vector: the four shared numbers,
-    then (start, flow, log gain) of every trial."""
+def _bounds(beat_s: float) -> tuple[F64, F64]:
+    """Lowest and highest of what ``vector_of`` gives."""
+    low = [math.log(_KAPPA_RANGE[0]), -np.inf, 0.0, 0.0, _BEND_RANGE[0], 0.0, _SHARE_RANGE[0],
+           math.log(_WAKE_RANGE_S[0])]  # fmt: skip
+    high = [math.log(_KAPPA_RANGE[1]), np.inf, np.pi / 2, _DELAY_MAX_BEATS * beat_s,
+            _BEND_RANGE[1], np.inf, _SHARE_RANGE[1], math.log(_WAKE_RANGE_S[1])]  # fmt: skip
+    return np.array(low), np.array(high)
 
-    def __init__(self, trials: Sequence[TrialSpeeds], prior: Prior, scatter: Scatter) -> None:
+
+class _Problem:
+    """The cost, its gradient and its curvature (Gauss and Newton's), as functions of one vector:
+    the shared numbers, then (start, flow, log gain) of every trial."""
+
+    def __init__(
+        self,
+        trials: Sequence[TrialSpeeds],
+        prior: Prior,
+        scatter: Scatter,
+        weights: F64,
+        centres: F64,
+    ) -> None:
+        count = len(trials)
         self.trials = trials
-        self.sigma = [beat_sigma(trial, prior.model, scatter) for trial in trials]
-        differ = [
-            max(scatter.start_m_s, _START_SIGMA_MIN_M_S),
-            max(scatter.flow_m_s, _SIGMA_MIN),
-            max(scatter.gain, _SIGMA_MIN),
+        self.white = [
+            _whitener(trial, prior.model, scatter, weight)
+            for trial, weight in zip(trials, weights, strict=True)
         ]
-        self.centre = np.r_[vector_of(prior.model), np.zeros(_CONDITIONS * len(trials))]
-        self.spread = np.r_[prior.sigma, differ * len(trials)]
-        self.low = np.r_[math.log(_KAPPA_RANGE[0]), -np.inf, 0.0, 0.0,
-                         [0.0, -np.inf, -np.inf] * len(trials)]  # fmt: skip
-        beat_s = trials[0].beat_s
-        self.high = np.r_[math.log(_KAPPA_RANGE[1]), np.inf, np.pi / 2, _DELAY_MAX_BEATS * beat_s,
-                          np.full(_CONDITIONS * len(trials), np.inf)]  # fmt: skip
+        usual = [scatter.start_m_s, scatter.flow_m_s, scatter.gain]
+        differ = np.maximum(usual, _SIGMA_MIN) / np.sqrt(weights)[:, None]
+        own = np.column_stack([np.zeros(count), centres])
+        self.centre = np.concatenate([vector_of(prior.model), own.ravel()])
+        self.spread = np.concatenate([prior.sigma, differ.ravel()])
+        low, high = _bounds(trials[0].beat_s)
+        self.low = np.concatenate([low, np.tile([0.0, -np.inf, -np.inf], count)])
+        self.high = np.concatenate([high, np.full(_CONDITIONS * count, np.inf)])
+
+    def start(self, begin: F64 | None) -> F64:
+        """The prior's centre, with what an earlier fit had found."""
+        x: F64 = self.centre.copy()
+        if begin is not None:
+            x[: min(len(begin), len(x))] = begin[: len(x)]
+        return np.clip(x, self.low, self.high)
 
     def conditions(self, x: F64, index: int) -> Conditions:
         start, flow, log_gain = x[_SHARED + _CONDITIONS * index :][:_CONDITIONS]
         return Conditions(max(float(start), 0.0), float(flow), math.exp(log_gain))
 
-    def evaluated(self, x: F64) -> tuple[F64, F64]:
-        """(residuals, Jacobian): the prior's rows first, then the measured beats of every trial."""
+    def evaluated(self, x: F64) -> tuple[float, F64, F64]:
+        """(cost, half its gradient, half its curvature)."""
         model = model_of(x[:_SHARED])
-        prior = (x - self.centre) / self.spread
-        rows, slopes = [prior], [np.diag(1 / self.spread)]
-        for index, (trial, sigma) in enumerate(zip(self.trials, self.sigma, strict=True)):
+        off = (x - self.centre) / self.spread
+        cost, gradient = float(off @ off), off / self.spread
+        curvature = np.diag(1 / self.spread**2)
+        for index, (trial, white) in enumerate(zip(self.trials, self.white, strict=True)):
             speed, by = speed_and_slopes(model, trial, self.conditions(x, index))
             seen = trial.measured
-            rows.append((speed[seen] - trial.speed_m_s[seen]) / sigma[seen])
-            wide = np.zeros((int(seen.sum()), len(x)))
-            wide[:, :_SHARED] = by[seen, :_SHARED] / sigma[seen, None]
+            miss = white @ (speed[seen] - trial.speed_m_s[seen])
+            slopes = white @ by[seen]
             at = _SHARED + _CONDITIONS * index
-            wide[:, at : at + _CONDITIONS] = by[seen, _SHARED:] / sigma[seen, None]
-            slopes.append(wide)
-        return np.concatenate(rows), np.vstack(slopes)
+            own = slice(at, at + _CONDITIONS)
+            both, pull = slopes.T @ slopes, slopes.T @ miss
+            cost += float(miss @ miss)
+            gradient[:_SHARED] += pull[:_SHARED]
+            gradient[own] += pull[_SHARED:]
+            curvature[:_SHARED, :_SHARED] += both[:_SHARED, :_SHARED]
+            curvature[:_SHARED, own] = both[:_SHARED, _SHARED:]
+            curvature[own, :_SHARED] = both[_SHARED:, :_SHARED]
+            curvature[own, own] += both[_SHARED:, _SHARED:]
+        return cost, gradient, curvature
 
     def solved(self, x: F64) -> Fit:
+        """The answer that the vector stands for."""
+        _, _, curvature = self.evaluated(x)
+        covariance = np.linalg.inv(curvature)
         model = model_of(x[:_SHARED])
-        off, jacobian = self.evaluated(x)
-        normal = jacobian.T @ jacobian
-        covariance = np.linalg.inv(normal)[:_SHARED, :_SHARED]
-        narrowed = float(np.linalg.slogdet(normal)[1]) / 2 + float(np.log(self.spread).sum())
-        conditions = [self.conditions(x, index) for index in range(len(self.trials))]
+        conditions = [self.conditions(x, i) for i in range(len(self.trials))]
         residual = [
             trial.speed_m_s - model.beats(trial.amplitude_rad, trial.beat_s, given)
             for trial, given in zip(self.trials, conditions, strict=True)
         ]
         together = np.concatenate(residual)
         known = together[np.isfinite(together)]
+        own = np.diag(covariance)[_SHARED:].reshape(-1, _CONDITIONS)
         return Fit(
             model=model,
-            covariance=np.asarray(covariance, dtype=np.float64),
+            covariance=np.asarray(covariance[:_SHARED, :_SHARED], dtype=np.float64),
             conditions=conditions,
+            condition_variance=own,
             residual_m_s=residual,
             rms_m_s=float(np.sqrt(np.mean(known**2))),
             beats=len(known),
-            log_evidence=-float(off @ off) / 2 - narrowed,
+            vector=x,
         )
 
 
-def beat_sigma(trial: TrialSpeeds, model: FishModel, scatter: Scatter) -> F64:
-    """Standard deviation of measured minus modelled speed per beat, conditions known."""
-    switched = scatter.switch * steepness(model.steady_m_s(trial.amplitude_rad))
-    sigma: F64 = np.sqrt(trial.sigma_m_s**2 + scatter.model_m_s**2 + switched**2)
-    return sigma
-
-
-def steepness(steady_m_s: F64) -> F64:
-    """Of the steady speeds of beats: the larger of the last two changes, from rest, m/s."""
-    change = np.abs(np.diff(steady_m_s, prepend=0.0))
-    steepest: F64 = np.maximum(change, np.concatenate([[0.0], change[:-1]]))
-    return steepest
+def _whitener(trial: TrialSpeeds, model: FishModel, scatter: Scatter, weight: float) -> F64:
+    """What makes the measured beats' noise white and of size 1, (seen, seen)."""
+    seen = trial.measured
+    noise = beat_covariance(trial, model, scatter)[np.ix_(seen, seen)]
+    white: F64 = np.linalg.inv(np.linalg.cholesky(noise / weight))
+    return white
 
 
 def speed_and_slopes(model: FishModel, trial: TrialSpeeds, given: Conditions) -> tuple[F64, F64]:
-    """Beat means and their derivatives by (log kappa, log slope, dead zone, delay, start, flow, log
-    gain)."""
-    steady = given.gain * model.steady_m_s(trial.amplitude_rad)
-    w = steady**2
-    distance, by_w, by_model = model.distance(w, trial.beat_s, given.start_m_s, slopes=True)
+    """Beat means and their derivatives by ``vector_of`` and (start, flow, log gain)."""
+    root = model.root(trial.amplitude_rad)
+    thrust = (given.gain * root) ** 2
+    distance, by_w, by_model = model.distance(thrust, trial.beat_s, given.start_m_s, slopes=True)
     assert by_w is not None and by_model is not None
     mean_by_w = np.diff(by_w, axis=0) / trial.beat_s
-    mean_by_model = np.diff(by_model, axis=0) / trial.beat_s
-    by_log_scale = mean_by_w @ (2 * w)
+    by = np.diff(by_model, axis=0) / trial.beat_s
+    by_root = 2 * root * given.gain**2
+    beyond = np.maximum(trial.amplitude_rad - model.dead_zone_rad, 0.0)
+    thrust_by = np.column_stack(
+        [2 * thrust, -by_root * model.root_slope(trial.amplitude_rad),
+         by_root * model.slope_m_s_rad * beyond**2]
+    )  # fmt: skip
+    scale, dead_zone, bend = (mean_by_w @ thrust_by).T
     columns = [
-        mean_by_model[:, 0] * model.kappa_per_m,
-        by_log_scale,
-        mean_by_w @ (-2 * steady * given.gain * model.slope_m_s_rad),
-        mean_by_model[:, 1],
-        mean_by_model[:, 2],
-        np.ones(trial.beats),
-        by_log_scale,
-    ]
+        by[:, BY_KAPPA] * model.kappa_per_m, scale, dead_zone, by[:, BY_DELAY], bend,
+        by[:, BY_LINEAR], by[:, BY_SHARE], by[:, BY_WAKE_S] * model.wake_s,
+        by[:, BY_START], np.ones(trial.beats), scale,
+    ]  # fmt: skip
     return np.diff(distance) / trial.beat_s + given.flow_m_s, np.column_stack(columns)
 
 
-def _levenberg_marquardt(problem: _Problem) -> F64:
-    """Projected onto the bounds; the start is the prior's centre."""
-    x: F64 = np.clip(problem.centre, problem.low, problem.high)
-    residual, jacobian = problem.evaluated(x)
-    cost, damping = float(residual @ residual), 1e-3
+def _levenberg_marquardt(problem: _Problem, x: F64) -> F64:
+    """Projected onto the bounds, from ``x``."""
+    cost, gradient, curvature = problem.evaluated(x)
+    damping = 1e-3
     for _ in range(_ITERATIONS_MAX):
-        gradient, normal = jacobian.T @ residual, jacobian.T @ jacobian
         pushed = ((x <= problem.low) & (gradient > 0)) | ((x >= problem.high) & (gradient < 0))
         free = ~pushed
-        diagonal = np.diag(normal)[free]
-        inner = normal[np.ix_(free, free)] + damping * np.diag(diagonal)
+        inner = curvature[np.ix_(free, free)]
         step = np.zeros_like(x)
-        step[free] = -np.linalg.solve(inner, gradient[free])
+        step[free] = -np.linalg.solve(inner + damping * np.diag(np.diag(inner)), gradient[free])
         moved = np.clip(x + step, problem.low, problem.high)
-        new_residual, new_jacobian = problem.evaluated(moved)
-        new_cost = float(new_residual @ new_residual)
+        new_cost, new_gradient, new_curvature = problem.evaluated(moved)
         if not new_cost < cost:
             if damping > 1e6:
                 break
             damping *= 8
             continue
         gained = cost - new_cost
-        x, residual, jacobian, cost = moved, new_residual, new_jacobian, new_cost
+        x, cost, gradient, curvature = moved, new_cost, new_gradient, new_curvature
         damping = max(damping / 8, 1e-9)
         if gained < _CONVERGED * cost:
             break
@@ -328,26 +409,25 @@ def farthest(
 ) -> tuple[FishModel, Conditions]:
     """The most probable of the fish and days that travel ``PESSIMISM`` sigmas too far.
 
-    Of all (log kappa, log slope, dead zone, delay, gain, flow) at that distance from the best, in
-    units of what is known of them, the one straight up the slope of the way. ``covariance``: 4 x 4
-    of the first four.
+    Of all numbers, gains and flows at that distance from the best, in units of what is known of
+    them, the one straight up the slope of the way. ``covariance``: as of a ``Fit``.
     """
     centre = np.r_[vector_of(model), 1.0, 0.0]
-    whole = np.zeros((6, 6))
-    whole[:4, :4] = covariance
-    whole[4, 4], whole[5, 5] = scatter.gain**2, scatter.flow_m_s**2
+    whole = np.zeros((_SHARED + 2, _SHARED + 2))
+    whole[:_SHARED, :_SHARED] = covariance
+    whole[-2, -2], whole[-1, -1] = scatter.gain**2, scatter.flow_m_s**2
     sigma = np.sqrt(np.diag(whole))
 
     def fish_at(x: F64) -> tuple[FishModel, Conditions]:
-        return model_of(x), Conditions(gain=max(float(x[4]), 0.0), flow_m_s=float(x[5]))
+        return model_of(x), Conditions(gain=max(float(x[-2]), 0.0), flow_m_s=float(x[-1]))
 
     def travel_at(x: F64) -> float:
         fish, conditions = fish_at(x)
         return travel_m(fish, amplitude_rad, beat_s, conditions)
 
-    slope = np.zeros(6)
+    slope = np.zeros(len(centre))
     for i in np.flatnonzero(sigma > 0):
-        step = np.zeros(6)
+        step = np.zeros(len(centre))
         step[i] = sigma[i]
         slope[i] = (travel_at(centre + step) - travel_at(centre - step)) / (2 * sigma[i])
     spread = math.sqrt(float(slope @ whole @ slope))

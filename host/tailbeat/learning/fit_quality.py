@@ -114,6 +114,10 @@ NAMES = {
     "slope_m_s_rad": ("slope", "m/s/rad"),
     "dead_zone_rad": ("dead zone", "rad"),
     "delay_s": ("delay", "s"),
+    "bend_per_rad": ("bend of the map", "1/rad"),
+    "linear_drag_m_s": ("linear drag over quadratic", "m/s"),
+    "wake_share": ("thrust that follows", ""),
+    "wake_s": ("... with the time constant", "s"),
 }
 
 
@@ -233,8 +237,8 @@ def _warnings(
 def _too_wide(identified: Identified) -> dict[str, tuple[float, str, str]]:
     """(half width, its unit, what to do) of every number known too badly, if data spoke of it."""
     found = {}
-    for name, (low, high) in identified.band.items():
-        most, remedy = _WIDE[name]
+    for name, (most, remedy) in _WIDE.items():
+        low, high = identified.band[name]
         relative = name in ("kappa_per_m", "slope_m_s_rad")
         value = getattr(identified.model, name)
         if (high - low) / 2 > most * (value if relative else 1) and name not in identified.assumed:

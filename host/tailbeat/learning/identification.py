@@ -25,8 +25,9 @@ from tailbeat.core.decode import convert, read
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import plain, replace_file
 from tailbeat.core.reference import THESIS_PLATEAU_M_S
-from tailbeat.learning.fish_model import PARAMS, FishModel, TrialSpeeds
-from tailbeat.learning.fit import Scatter, vector_of
+from tailbeat.learning.fish_model import NUMBERS, PARAMS, FishModel, TrialSpeeds
+from tailbeat.learning.fit import Prior, vector_of
+from tailbeat.learning.scatter import Scatter
 
 _FORMAT = "tailbeat identified 1"
 _REMEDY = "Identify the fish: tailbeat session identify --out FILE"
@@ -34,7 +35,7 @@ _REMEDY = "Identify the fish: tailbeat session identify --out FILE"
 
 @dataclass(frozen=True)
 class Identified:
-    """``models``: the bootstrap's, at least one. ``covariance``: 4 x 4 as in Fit. ``scatter``: how
+    """``models``: the bootstrap's, at least one. ``covariance``: as in Fit. ``scatter``: how
     trials differ. ``assumed``: names of ``FishModel`` fields that no data spoke of (a table of
     steady speeds tells nothing of kappa and delay). ``source``: ``table``, ``runs`` or ``trials``.
     ``alpha_kg_m``: the thesis's drag coefficient by (8.5)-(8.13) where steady speeds are known."""
@@ -49,6 +50,14 @@ class Identified:
     made: str = ""
     alpha_kg_m: float | None = None
     trials: list[TrialSpeeds] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Where only the first four numbers were identified, as by earlier versions and from a
+        table, the shape is known no better than of any fish."""
+        known = np.asarray(self.covariance, dtype=np.float64)
+        whole = Prior().covariance
+        whole[: len(known), : len(known)] = known
+        object.__setattr__(self, "covariance", whole)
 
     @property
     def band(self) -> dict[str, tuple[float, float]]:
@@ -92,10 +101,14 @@ def _checked(raw: dict[str, Any]) -> dict[str, Any]:
     """With models by the names of their numbers. Raises KeyError, TypeError or ValueError."""
     if raw["format"] != _FORMAT:
         raise ValueError(f"this is no identified fish, its format is {raw['format']}")
-    models = [dict(zip(PARAMS, row, strict=True)) for row in raw["models"]]
+    models = [dict(zip(NUMBERS[: len(row)], row, strict=True)) for row in raw["models"]]
     covariance = np.array(raw["covariance"], dtype=np.float64)
     numbers = [*covariance.ravel(), *(v for m in (raw["model"], *models) for v in m.values())]
-    if covariance.shape != (4, 4) or not models or not all(map(math.isfinite, numbers)):
+    if (
+        len(covariance) not in (len(PARAMS), len(NUMBERS))
+        or not models
+        or not all(map(math.isfinite, numbers))
+    ):
         raise ValueError("its numbers make no model")
     return raw | {"models": models, "trials": raw["swims"]}
 
@@ -277,7 +290,7 @@ def _identified(amplitude: F64, speed: F64, line: SpeedLine, alpha_kg_m: float) 
     return Identified(
         model=model,
         models=models,
-        covariance=np.cov(np.array([vector_of(one) for one in models]).T),
+        covariance=np.cov(np.array([vector_of(one)[: len(PARAMS)] for one in models]).T),
         source="table",
         assumed=ASSUMED,
         made=now_text(),

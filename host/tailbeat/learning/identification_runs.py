@@ -19,8 +19,9 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.learning import fit
 from tailbeat.learning.fish_model import FishModel, TrialSpeeds
-from tailbeat.learning.fit import Fit, Prior, Scatter, farthest, travel_m
+from tailbeat.learning.fit import Fit, Prior, farthest, travel_m
 from tailbeat.learning.identification import Identified, now_text
+from tailbeat.learning.scatter import Scatter
 
 CRUISE, COAST = "cruise", "coast-down"
 FRACTIONS = (0.4, 0.7, 1.0)  # of the way from the dead zone to the limit: Table 8.1's, nearly
@@ -91,6 +92,7 @@ class IdentificationSeries:
 
     limits: Limits
     prior: Prior = field(default_factory=Prior)
+    usual: Scatter = field(default_factory=Scatter)
     scatter: Scatter = field(default_factory=Scatter)
     trials: list[TrialSpeeds] = field(default_factory=list)
     found: Fit | None = None
@@ -140,7 +142,8 @@ class IdentificationSeries:
             self.still_rad = max(self.still_rad, run.cruise_rad)
             return
         self.stage += 1
-        self.found = fit.fit(self.trials, self.prior, self.scatter)
+        found = fit.fit_robust(self.trials, self.prior, self.usual)
+        self.found, self.scatter = found.fit, found.scatter
 
     def _amplitude(self, fraction: float) -> float:
         """Between the dead zone and the limit; higher than what moved nothing."""
@@ -237,13 +240,14 @@ def identify_runs(
     from the fit's normal posterior only, not from a bootstrap too (a hundredth of the time).
     Whatever ``trial`` or ``on_run`` raises passes through.
     """
-    course = IdentificationSeries(limits, prior or Prior(), scatter or Scatter())
+    usual = scatter or Scatter()
+    course = IdentificationSeries(limits, prior or Prior(), usual, usual)
     while not course.done:
         run = course.next_run()
         if on_run is not None:
             on_run(run)
         course.add(run, trial(run.amplitude_rad))
-    return identify_trials(course.trials, course.prior, course.scatter, "runs", unique_id, quick)
+    return identify_trials(course.trials, course.prior, usual, "runs", unique_id, quick)
 
 
 def identify_trials(
@@ -256,7 +260,8 @@ def identify_trials(
 ) -> Identified:
     """From trials of any kind that exist. Raises InputError when no beat of them has a speed."""
     prior, scatter = prior or Prior(), scatter or Scatter()
-    found = fit.fit(trials, prior, scatter)
+    robust = fit.fit_robust(trials, prior, scatter)
+    found, scatter = robust.fit, robust.scatter
     models = fit.sample(found, _MODELS)
     if not quick:
         # Alone either is a little narrow: the bootstrap when a few trials happen to be alike, the

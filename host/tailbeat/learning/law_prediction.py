@@ -28,8 +28,8 @@ from tailbeat.core.law import Law, update
 from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.reference import BEATS_MAX, Reference
 from tailbeat.learning.fish_model import SIGMA_M_S, Conditions, FishModel, TrialSpeeds
-from tailbeat.learning.fit import Scatter, beat_sigma
 from tailbeat.learning.identification import Identified
+from tailbeat.learning.scatter import Scatter, beat_sigma
 
 _FISH = 40
 _SEED = 1
@@ -218,17 +218,24 @@ def response(model: FishModel, speed_m_s: float, beat_s: float, beats: int = 64)
     if not speed_m_s > 0:
         raise InputError("around standstill there is no response.", "Give a speed above 0.")
     lead_in = min(_settling_beats(model, speed_m_s, beat_s), BEATS_MAX - beats)
-    thrust = np.full(lead_in + beats, speed_m_s**2)
+    root = float(model.root_at(speed_m_s))
+    thrust = np.full(lead_in + beats, root**2)
     _, by_w, _ = model.distance(thrust, beat_s, start_m_s=speed_m_s, slopes=True)
     assert by_w is not None
-    by_amplitude = 2 * speed_m_s * model.slope_m_s_rad
+    by_amplitude = 2 * root * float(model.root_slope(model.amplitude_of_root(root)))
     mean: F64 = np.diff(by_w[:, lead_in])[lead_in:] * by_amplitude / beat_s
     return mean
 
 
 def _settling_beats(model: FishModel, speed_m_s: float, beat_s: float) -> int:
-    decay_per_beat = 2 * model.kappa_per_m * speed_m_s * beat_s
-    return math.ceil(model.delay_s / beat_s + _FORGOTTEN / decay_per_beat) + 1
+    forgotten = _FORGOTTEN / _decay_per_beat(model, speed_m_s, beat_s)
+    return math.ceil(model.delay_s / beat_s + forgotten) + 1
+
+
+def _decay_per_beat(model: FishModel, speed_m_s: float, beat_s: float) -> float:
+    """The slower of drag and wake."""
+    by_drag = model.kappa_per_m * (2 * speed_m_s + model.linear_drag_m_s) * beat_s
+    return min(by_drag, beat_s / model.wake_s) if model.wake_share > 0 else by_drag
 
 
 def frequency_response(model: FishModel, speed_m_s: float, beat_s: float) -> Complex:
@@ -237,7 +244,7 @@ def frequency_response(model: FishModel, speed_m_s: float, beat_s: float) -> Com
     beats = min(_settling_beats(model, speed_m_s, beat_s), BEATS_MAX // 2)
     padded = np.zeros(2 * (len(FREQUENCIES) - 1) * _FOLDS)
     padded[:beats] = response(model, speed_m_s, beat_s, beats)
-    kept_per_beat = math.exp(-2 * model.kappa_per_m * speed_m_s * beat_s)
+    kept_per_beat = math.exp(-_decay_per_beat(model, speed_m_s, beat_s))
     delayed = np.exp(-2j * np.pi * FREQUENCIES)
     rest = padded[beats - 1] * kept_per_beat * delayed**beats / (1 - kept_per_beat * delayed)
     found: Complex = np.fft.rfft(padded)[::_FOLDS] + rest
@@ -327,10 +334,10 @@ def filter_matrix(beats: int, q_len: int) -> F64:
 
 def trial_jacobian(model: FishModel, amplitude_rad: F64, beat_s: float) -> F64:
     """d beat means / d amplitudes around a trial from rest, shape (beats, beats), m/s/rad."""
-    steady = model.steady_m_s(amplitude_rad)
-    _, by_w, _ = model.distance(steady**2, beat_s, slopes=True)
+    root = model.root(amplitude_rad)
+    _, by_w, _ = model.distance(root**2, beat_s, slopes=True)
     assert by_w is not None
-    jacobian: F64 = np.diff(by_w, axis=0) / beat_s * (2 * steady * model.slope_m_s_rad)
+    jacobian: F64 = np.diff(by_w, axis=0) / beat_s * (2 * root * model.root_slope(amplitude_rad))
     return jacobian
 
 

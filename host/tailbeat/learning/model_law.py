@@ -26,6 +26,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import plain
 from tailbeat.core.law import Law
+from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.reference import Reference
 from tailbeat.learning.belief import Belief, believe
 from tailbeat.learning.convergence import input_crc
@@ -39,6 +40,7 @@ FALLBACK = Law(kp_rad_s_m=4.0, lead_beats=1)
 # and a plan that draws the largest ones together leaves room for the scatter of trials; 6 gains
 # nearly all of that and costs little elsewhere.
 PLAN_POWER = 6.0
+MISFIT_M_S = 0.006  # of a beat, RMS: no model of this form explains the fish
 _NO_THRUST = 0.75  # of the dead zone: pushes nothing even if that is smaller than believed
 
 _WORDS = {
@@ -92,16 +94,27 @@ def propose(
     Costs some 10 ms, and 15 ms per trial of 40 beats. Raises InputError when
     ``amplitude_max_rad`` makes no sense or a trial has other beats than the reference it names.
     """
-    belief = believe(identified, trials)
+    return propose_by(believe(identified, trials), setting, trials)
+
+
+def propose_by(
+    belief: Belief, setting: ModelStepSetting, trials: Sequence[TrialSpeeds] = ()
+) -> Proposal:
+    """As ``propose``, with what is believed after ``trials``."""
+    identified = belief.identified
     reference, step_max_rad = setting.reference, setting.step_max_rad
     amplitude_max_rad = setting.amplitude_max_rad
     own = _trials_of(reference, trials)
     recorded = last_input(own, reference.beats)
     low, high = _limits(recorded, amplitude_max_rad, step_max_rad)
-    law = "p" if belief.refuted and own else "model"
+    law = _law(belief, own)
     amplitude = _planned(belief, setting, low, high)
-    if law == "p":
+    if law == "best":
+        amplitude = _best_known(setting, belief, own)
+    elif law == "p" and own:
         amplitude = _p_step(setting, own[-1], np.where(np.isfinite(recorded), recorded, amplitude))
+    elif law == "p":
+        amplitude = _p_begin(setting)
     if step_max_rad > 0:
         amplitude = _ready(amplitude, belief.model, amplitude_max_rad)
     amplitude = np.clip(amplitude, low, high)
@@ -168,10 +181,36 @@ def _ready(amplitude_rad: F64, model: FishModel, amplitude_max_rad: float) -> F6
     return np.maximum(amplitude_rad, min(_NO_THRUST * model.dead_zone_rad, amplitude_max_rad))
 
 
+def _law(belief: Belief, own: Sequence[TrialSpeeds]) -> str:
+    """Which one makes the next input."""
+    if belief.misfit_m_s > MISFIT_M_S:
+        return "p"
+    if belief.refuted and own:
+        return "best" if len(own) > 1 else "p"
+    return "model"
+
+
+def _best_known(setting: ModelStepSetting, belief: Belief, own: Sequence[TrialSpeeds]) -> F64:
+    """The executed input with the smallest largest error; a spoilt trial's counts last."""
+    spoilt = {id(t) for t, odd in zip(belief.trials, belief.spoilt, strict=True) if odd}
+    reference = setting.reference.speed_m_s.astype(np.float64)
+
+    def cost(trial: TrialSpeeds) -> tuple[bool, float]:
+        error = np.abs(reference - trial.speed_m_s)
+        return id(trial) in spoilt, float(np.nanmax(error))
+
+    return min(own, key=cost).amplitude_rad
+
+
+def _p_begin(setting: ModelStepSetting) -> F64:
+    law = replace(setting.law, amplitude_max_rad=setting.amplitude_max_rad)
+    return first_amplitudes(law, setting.reference.speed_m_s).astype(np.float64)
+
+
 def _planned(belief: Belief, setting: ModelStepSetting, low: F64, high: F64) -> F64:
     reference = setting.reference
     disturbance, _ = belief.disturbance(reference.crc, reference.beats)
-    scatter = belief.identified.scatter
+    scatter = belief.scatter
     fastest = float(reference.speed_m_s.max())
     return plan(
         belief.model,
@@ -207,6 +246,13 @@ def _sigma(identified: Identified, trials: Sequence[TrialSpeeds]) -> float:
 
 def _reason(belief: Belief, law: str) -> str:
     count = len(belief.trials)
+    if law == "best":
+        return "the last trial was not as the model said: back to the best input so far"
+    if law == "p" and not belief.refuted:
+        return (
+            f"the model misses the beats by {belief.misfit_m_s * 1e3:.0f} mm/s: steps by P, which"
+            " needs none"
+        )
     if law == "p":
         return "the last trial was not as the model said: a step by P, and the fit begins anew"
     if not count:
@@ -222,7 +268,7 @@ def _moved(belief: Belief) -> list[str]:
     sigma = np.sqrt(np.diag(identified.covariance) + np.diag(belief.covariance))
     change = vector_of(belief.model) - vector_of(identified.model)
     found = []
-    for name in np.array(PARAMS)[np.abs(change) > 2 * sigma]:
+    for name in np.array(PARAMS)[(np.abs(change) > 2 * sigma)[: len(PARAMS)]]:
         word, unit, digits = _WORDS[name]
         was, now = (f"{getattr(one.model, name):.{digits}f}" for one in (identified, belief))
         found.append(f"{word} {now} {unit} (identified {was})")

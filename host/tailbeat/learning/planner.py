@@ -1,7 +1,7 @@
 """The best amplitudes for a reference by a model: box-constrained least squares in thrust.
 
 min over w of sum(cost(reference - f(w) - disturbance)), with 0 <= w <= w_max, f the beat means of
-the model, w the square of the steady speed per beat (nearly linear, and free of the dead zone). The
+the model, w the thrust per beat (nearly linear, and free of the dead zone). The
 cost is the square (``power`` 2), or a higher power of the error blurred by how trials scatter,
 which draws the largest errors together. Projected Newton with the exact Jacobian of the model: each
 step solves a quadratic program in the box by an active set.
@@ -65,16 +65,18 @@ def plan(
         np.asarray(0.0 if disturbance_m_s is None else disturbance_m_s, np.float64), wanted.shape
     )
     _check(wanted, disturbance, amplitude_max_rad, power)
-    w_max = float(model.steady_m_s(amplitude_max_rad)) ** 2
+    strongest_rad = model.strongest_rad(amplitude_max_rad)
+    w_max = float(model.thrust(strongest_rad))
     high = np.broadcast_to(np.clip(high_rad, 0.0, amplitude_max_rad), wanted.shape)
     low = np.minimum(np.maximum(low_rad, 0.0), high)
     w = np.zeros(len(wanted))
     if w_max > 0:
         target = wanted - given.flow_m_s - disturbance
-        box = model.steady_m_s(low) ** 2 / w_max, model.steady_m_s(high) ** 2 / w_max
+        useful = np.minimum(low, strongest_rad), np.minimum(high, strongest_rad)
+        box = model.thrust(useful[0]) / w_max, model.thrust(useful[1]) / w_max
         task = _Task(model, target, beat_s, given, w_max, box, power, scatter_m_s)
         w = w_max * task.solve()
-    amplitude = np.clip(_amplitude(model, w, w_max, amplitude_max_rad), low, high)
+    amplitude = np.clip(_amplitude(model, w, w_max, strongest_rad), low, high)
     predicted = model.beats(amplitude, beat_s, given) + disturbance
     return Plan(amplitude, predicted, float(np.abs(wanted - predicted).max()))
 
@@ -88,11 +90,11 @@ def _check(wanted: F64, disturbance: F64, amplitude_max_rad: float, power: float
         )
 
 
-def _amplitude(model: FishModel, w: F64, w_max: float, amplitude_max_rad: float) -> F64:
-    """0 where there is no thrust, the map's amplitude elsewhere, never above the largest one."""
-    amplitude = model.amplitude_rad(np.sqrt(w))
-    amplitude = np.minimum(np.round(amplitude / _STEP_RAD) * _STEP_RAD, amplitude_max_rad)
-    amplitude[w >= w_max * (1 - _DONE)] = amplitude_max_rad
+def _amplitude(model: FishModel, w: F64, w_max: float, strongest_rad: float) -> F64:
+    """0 where there is no thrust, the map's amplitude elsewhere, never above the strongest one."""
+    amplitude = model.amplitude_of_root(np.sqrt(w))
+    amplitude = np.minimum(np.round(amplitude / _STEP_RAD) * _STEP_RAD, strongest_rad)
+    amplitude[w >= w_max * (1 - _DONE)] = strongest_rad
     amplitude[w <= _DONE * w_max] = 0.0
     return amplitude
 

@@ -246,7 +246,7 @@ def transfer(
         by.time_factor,
     )
     still = np.minimum(overlap(np.minimum(learned, model.dead_zone_rad), sent), model.dead_zone_rad)
-    wanted = np.where(square > 0, model.amplitude_rad(np.sqrt(np.maximum(square, 0.0))), still)
+    wanted = np.where(square > 0, model.amplitude_of_root(np.sqrt(np.maximum(square, 0.0))), still)
     return _limited(wanted.astype(np.float32), new, model, amplitude_max_rad)
 
 
@@ -260,7 +260,7 @@ def _thrust(learned: F64, old: Reference, speed: BeatCurve, model: FishModel) ->
     gain = (speed.at(begin + 1) - speed.at(begin)) / (old.beat_s * model.kappa_per_m)
     needed = np.minimum(drag + gain, 0.0)
     pushed = learned > model.dead_zone_rad
-    return np.where(pushed, model.steady_m_s(learned) ** 2, needed)
+    return np.where(pushed, model.thrust(learned), needed)
 
 
 def _limited(

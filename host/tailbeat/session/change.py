@@ -32,8 +32,8 @@ from tailbeat.learning.convergence import (
     score_of,
 )
 from tailbeat.learning.fish_model import FishModel
-from tailbeat.learning.fit import Scatter
 from tailbeat.learning.identification import Identified
+from tailbeat.learning.scatter import Scatter
 
 Remedy = Literal["go on", "learn on", "trim", "identify"]
 

@@ -36,6 +36,7 @@ MODEL_PARAMS = {
 }
 _SPEED_SIGMA_M_S = 0.001  # of speeds that somebody uploads
 _NO_ROOM = ("aborted:ABORT_COMMAND", "aborted:WALL")
+_TRIED_RAD = 0.5  # where no trial tells the amplitudes
 _COASTS_ON = 0.5  # of the drag that is believed: a fish nobody knows may coast twice as far
 
 
@@ -97,8 +98,10 @@ def prior_of(params: dict[str, float]) -> Prior:
 def set_params(fish: Fish, identified: Identified) -> dict[str, float]:
     """The model becomes the board's, for good; what was assumed does not. Other parameters that
     were changed but not saved stay so."""
+    tried = max((float(t.amplitude_rad.max()) for t in identified.trials), default=_TRIED_RAD)
+    model = identified.model.straight(tried)
     wanted = {
-        name: getattr(identified.model, field)
+        name: getattr(model, field)
         for name, field in MODEL_PARAMS.items()
         if field not in identified.assumed
     }

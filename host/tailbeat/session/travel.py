@@ -23,8 +23,9 @@ from tailbeat.core.records import decode_reference
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.library import TrialLibrary, identified_if_readable
 from tailbeat.learning.fish_model import FishModel, trial_speeds
-from tailbeat.learning.fit import Prior, Scatter, farthest, fit, speeds_with_coast, travel_m
+from tailbeat.learning.fit import Prior, farthest, fit, speeds_with_coast, travel_m
 from tailbeat.learning.identification import Identified
+from tailbeat.learning.scatter import Scatter
 from tailbeat.link.ftp.wire import FtpError
 from tailbeat.session.guards import Guard, GuardedTrial
 from tailbeat.session.identify import prior_of
@@ -38,7 +39,7 @@ _FIRST = 1  # memory_input_t: arming makes the amplitudes anew
 
 @dataclass(frozen=True)
 class TravelModel:
-    """What is believed of a fish: a model, its covariance (4 x 4, as fitting.Fit) and how swims
+    """What is believed of a fish: a model, its covariance (as of a Fit) and how swims
     scatter. ``more``: how much farther it comes than the model says. ``by``: where from."""
 
     model: FishModel
@@ -72,8 +73,7 @@ def travel_model_of(
         by = "the identified fish"
     else:
         prior = prior_of(dict(params))
-        spread = np.square([prior.kappa, prior.slope, prior.dead_zone_rad, prior.delay_s])
-        known = prior.model, np.diag(spread), Scatter()
+        known = prior.model, prior.covariance, Scatter()
         by = "the board's MDL_... parameters"
     before = TravelModel(*known, by)
     if last is None:

@@ -25,7 +25,7 @@ from tailbeat.core.trial_checks import (
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.current import current, set_and_save
 from tailbeat.experiment.library import RUN, TrialLibrary, library_of, preserve_folder
-from tailbeat.learning.fit import Scatter
+from tailbeat.learning.scatter import Scatter
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.events import Operator, StepProgress, notice_to
 from tailbeat.session.guards import FrameRecorder, Guard, GuardedTrial, guards_of

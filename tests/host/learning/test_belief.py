@@ -22,7 +22,9 @@ Array = F64
 
 LIMIT = math.pi / 4
 MODEL = FishModel(10.0, 0.21, 0.2, 0.3)
-SURE = Identified(MODEL, [MODEL], np.diag(np.square([0.03, 0.01, 0.003, 0.02])))
+SURE = Identified(
+    MODEL, [MODEL], np.diag(np.square([0.03, 0.01, 0.003, 0.02, 0.02, 0.0002, 0.02, 0.1]))
+)
 AMPLITUDE = 0.42 + 0.12 * np.sin(np.arange(40) / 5)
 SIGMA = np.full(40, 0.0007)
 

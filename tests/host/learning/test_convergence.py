@@ -16,8 +16,8 @@ from tailbeat.core.trial_file import Beats, Slots, Trial
 from tailbeat.learning import assessment, convergence
 from tailbeat.learning.convergence import NoiseBand, Score, assess, assess_all, noise_band
 from tailbeat.learning.fish_model import Conditions, FishModel
-from tailbeat.learning.fit import Scatter
 from tailbeat.learning.identification import Identified
+from tailbeat.learning.scatter import Scatter
 
 Array = F64
 

@@ -26,10 +26,10 @@ from tailbeat.learning import law_prediction
 from tailbeat.learning.design import Design, design
 from tailbeat.learning.error_bound_solve import plant_beats, plant_config
 from tailbeat.learning.fish_model import FishModel, TrialSpeeds
-from tailbeat.learning.fit import Scatter
 from tailbeat.learning.identification import Identified, identify_table
 from tailbeat.learning.law_prediction import expected_series, next_ratio, response
 from tailbeat.learning.planner import plan
+from tailbeat.learning.scatter import Scatter
 from tailbeat.studies.montecarlo.learners import FishBatch, identify
 
 Array = F64

@@ -8,7 +8,8 @@ import pytest
 from tailbeat.core.errors import InputError
 from tailbeat.learning.error_bound_solve import plant_beats, plant_config
 from tailbeat.learning.fish_model import FishModel, TrialSpeeds
-from tailbeat.learning.fit import Prior, Scatter, bootstrap, fit, sample
+from tailbeat.learning.fit import Prior, bootstrap, fit, sample
+from tailbeat.learning.scatter import Scatter
 
 SIGMA_M_S = 0.0007
 TRUE = FishModel(8.0, 0.22, 0.18, 0.4)

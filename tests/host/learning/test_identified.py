@@ -10,8 +10,8 @@ import pytest
 
 from tailbeat.core.errors import InputError
 from tailbeat.learning.fish_model import FishModel, TrialSpeeds
-from tailbeat.learning.fit import Scatter
 from tailbeat.learning.identification import Identified, now_text
+from tailbeat.learning.scatter import Scatter
 
 MODEL = FishModel(10.0, 0.2126, 0.2047, 0.316)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tailbeat.core.arrays import F64
+from tailbeat.learning.fish_model import PARAMS
 from tailbeat.learning.fit_quality import NAMES, Account, TrialAccount, steady_band
 from tailbeat.learning.identification import Identified, SpeedTable
 from tailbeat.report.style import ACCENT, BAND, GREY, INK, Axes, Figure, picture
@@ -75,9 +76,9 @@ def _draw_map(
 
 
 def _numbers(part: Figure, account: Account) -> None:
-    """The four numbers under the map."""
+    """The first four numbers under the map."""
     known = account.identified
-    for row, (name, (label, unit)) in enumerate(NAMES.items()):
+    for row, (name, (label, unit)) in enumerate((name, NAMES[name]) for name in PARAMS):
         low, high = known.band[name]
         value = getattr(known.model, name)
         assumed = "assumed" if name in known.assumed else f"{low:.3g} … {high:.3g}"
