@@ -19,12 +19,10 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.learning.explanation import (
     AGED,
-    FIRST,
     OTHER,
     SHAPE,
     SPOILT,
     THRUST,
-    USUAL,
     Expected,
     Explanation,
     explain,
@@ -47,7 +45,6 @@ _REPEATS_M_S = 0.001  # what repeats on a reference and the model leaves out: of
 _REPEATS_BEATS = 2.0  # ... shared by neighbours
 _FORGETS_M_S = 0.0003  # ... that comes new with each trial
 _WRONG_ABOUT_CHANGES = 0.05  # of the change of steady speed from trial to trial
-_ODD = 0.2  # chance of a trial below which it is looked at again together with the next
 _SPOILT_WEIGHT = 0.02
 _OLD_WEIGHT = 0.02  # of trials before a change of shape
 
@@ -65,10 +62,11 @@ class Change:
 
 @dataclass(frozen=True)
 class Belief:
-    """``trials``: those that count, without the identification's. ``refuted``: nothing explains the
-    last trial. ``chance``: of the last trial, by the prediction that was made for it.
-    ``explanation``: of the last trial, a key of the table of priors. ``weights``, ``centres``: of
-    all trials, the identification's first. ``changes``: lasting ones, oldest first."""
+    """``trials``: those that count, without the identification's. ``refuted_in_a_row``: so many of
+    the last ones nothing explains. ``chance``: of the last trial, by the prediction that was made
+    for it; ``explanation``: of it, a kind of ``explanation``. ``weights``: of all trials, the
+    identification's first. ``changes``: lasting ones, oldest first. ``before``: without the last
+    trial."""
 
     identified: Identified
     scatter: Scatter
@@ -76,11 +74,16 @@ class Belief:
     trials: tuple[TrialSpeeds, ...] = ()
     weights: F64 = field(default_factory=lambda: np.ones(0))
     spoilt: tuple[bool, ...] = ()
-    refuted: bool = False
+    refuted_in_a_row: int = 0
     chance: float = 1.0
     explanation: str = "regular"
     changes: tuple[Change, ...] = ()
     before: Belief | None = None
+
+    @property
+    def refuted(self) -> bool:
+        """Whether nothing explains the last trial."""
+        return self.refuted_in_a_row > 0
 
     @property
     def model(self) -> FishModel:
@@ -107,7 +110,7 @@ class Belief:
             return Prior()
         identified = self.identified
         far = OTHER if any(change.kind == "shape" for change in self.changes) else AGED
-        known = np.sqrt(np.diag(identified.covariance) + np.square(far))
+        known = np.sqrt(np.diag(identified.whole_covariance) + np.square(far))
         assumed = [name in identified.assumed for name in NUMBERS]
         sigma = np.where(assumed, np.maximum(known, Prior().sigma), known)
         return Prior(identified.model, *sigma.tolist())
@@ -219,11 +222,12 @@ class Belief:
         )
         chance = found.chance(trial.speed_m_s)
         before = replace(self, before=None)
-        if self.before is not None and self.chance < _ODD:
+        if self.before is not None:
             both = [self.trials[-1], trial]
             together = self.before.explained(both)
             if together.kind in (THRUST, SHAPE):
-                return self.before._taken(both, together, chance, before)
+                return self.before._taken(both, together, chance, None)
+            return self._taken([trial], together, chance, before)
         return self._taken([trial], self.explained([trial]), chance, before)
 
     def explained(self, trials: Sequence[TrialSpeeds]) -> Explanation:
@@ -237,11 +241,14 @@ class Belief:
             seen = trial.measured
             noise = (self._noise(trial) + covariance)[np.ix_(seen, seen)]
             rows.append(Expected((trial.speed_m_s - mean - repeats)[seen], by[seen], noise))
-        often = USUAL if self.trials else FIRST
-        return explain(rows, self.covariance, self.scatter, self.level()[1], often)
+        return explain(rows, self.covariance, self.scatter, self.level()[1], first=not self.trials)
 
     def _taken(
-        self, trials: Sequence[TrialSpeeds], found: Explanation, chance: float, before: Belief
+        self,
+        trials: Sequence[TrialSpeeds],
+        found: Explanation,
+        chance: float,
+        before: Belief | None,
     ) -> Belief:
         """With trials that are explained."""
         changes, rounds = self.changes, _ROUNDS
@@ -249,13 +256,14 @@ class Belief:
             change = Change(found.kind, len(self.trials), found.log_gain, found.flow_m_s)
             changes, rounds = (*changes, change), _COLD_ROUNDS
         spoilt = [found.kind == SPOILT] * len(trials)
+        refuted = self.refuted_in_a_row + len(trials) if found.chance < FALSE_ALARM else 0
         taken = replace(
             self,
             trials=(*self.trials, *trials),
             spoilt=(*self.spoilt, *spoilt),
             changes=changes,
             explanation=found.kind,
-            refuted=found.chance < FALSE_ALARM,
+            refuted_in_a_row=refuted,
             chance=chance,
             before=before,
         )

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -21,16 +22,18 @@ from tailbeat.learning.prediction import Prediction
 from tailbeat.learning.scatter import STD_ABS, Scatter
 
 REGULAR, SPOILT, THRUST, SHAPE = "regular", "spoilt", "thrust", "shape"
-KINDS = (REGULAR, SPOILT, THRUST, SHAPE)
-USUAL = (0.93, 0.05, 0.01, 0.01)  # how often each comes, in the order of KINDS
-FIRST = (0.84, 0.08, 0.02, 0.06)  # of the first trial since an identification
+# How often a trial is spoilt, and two trials are the first after a change. What follows the first
+# may be from another day than the identification, or of another fish.
+_SPOILT_PART = 0.05
+_THRUST_PART = 0.08
+_SHAPE_PART, _SHAPE_PART_FIRST = 0.01, 0.06
 
 # How far a fish may be from the one that was identified, as standard deviations in the order of
 # NUMBERS: the same fish on another day, or another one of its kind.
 AGED = (0.05, 0.02, 0.005, 0.02, 0.02, 0.0005, 0.02, 0.1)
 OTHER = (0.5, 0.2, 0.08, 0.25, 0.3, 0.003, 0.1, 0.3)
 SPOILT_GAIN, SPOILT_FLOW_M_S = 0.12, 0.008
-CHANGED_GAIN, CHANGED_FLOW_M_S = 0.10, 0.006
+CHANGED_GAIN, CHANGED_FLOW_M_S = 0.08, 0.004
 
 _COUNT = len(NUMBERS)
 
@@ -48,8 +51,9 @@ class Expected:
 
 @dataclass(frozen=True)
 class Explanation:
-    """``chance``: of something at least as odd, if it is so. ``flow_m_s``, ``log_gain``: what the
-    trials have in common beyond what was expected, for ``thrust``."""
+    """``kind``: of the last trial. ``chance``: of something at least as odd, if it is so.
+    ``flow_m_s``, ``log_gain``: what the trials have in common beyond what was expected, for
+    ``thrust``."""
 
     kind: str
     chance: float
@@ -57,33 +61,55 @@ class Explanation:
     log_gain: float = 0.0
 
 
+@dataclass(frozen=True)
+class _Hypothesis:
+    """``spoilt``: which trials are."""
+
+    kind: str
+    log_prior: float
+    spoilt: tuple[bool, ...]
+
+
 def explain(
     trials: Sequence[Expected],
     model: F64,
     scatter: Scatter,
     level_variance: float,
-    often: Sequence[float] = USUAL,
+    first: bool = False,
 ) -> Explanation:
     """The likeliest. ``model``: covariance of the numbers. ``level_variance``: of the log gain that
-    was expected."""
+    was expected. ``first``: no trial came between the identification and these."""
     miss = np.concatenate([trial.miss_m_s for trial in trials])
-    likely, found = [], []
-    for kind, part in zip(KINDS, often, strict=True):
-        covariance = _covariance(trials, kind, model, scatter, level_variance)
-        each = len(trials) if kind in (REGULAR, SPOILT) else 1
+    best, density = None, -math.inf
+    for hypothesis in _hypotheses(len(trials), first):
+        covariance = _covariance(trials, hypothesis, model, scatter, level_variance)
         odd = float(miss @ np.linalg.solve(covariance, miss))
-        density = -0.5 * (odd + float(np.linalg.slogdet(covariance)[1]))
-        likely.append(density + each * math.log(part))
-        found.append(covariance)
-    best = int(np.argmax(likely))
-    kind, covariance = KINDS[best], found[best]
+        likely = hypothesis.log_prior - 0.5 * (odd + float(np.linalg.slogdet(covariance)[1]))
+        if likely > density:
+            best, density = (hypothesis, covariance), likely
+    assert best is not None
+    hypothesis, covariance = best
     chance = Prediction(np.zeros(len(miss)), covariance).chance(miss)
-    if kind != THRUST:
-        return Explanation(kind, chance)
-    shared = _shared(kind, level_variance)
+    if hypothesis.kind != THRUST:
+        return Explanation(hypothesis.kind, chance)
     by = np.vstack([trial.by[:, _COUNT:] for trial in trials])
+    shared = _shared(THRUST, level_variance)
     _, flow, gain = shared @ by.T @ np.linalg.solve(covariance, miss)
-    return Explanation(kind, chance, float(flow), float(gain))
+    return Explanation(THRUST, chance, float(flow), float(gain))
+
+
+def _hypotheses(count: int, first: bool) -> list[_Hypothesis]:
+    often = {SHAPE: _SHAPE_PART_FIRST if first else _SHAPE_PART}
+    if count > 1:  # a single trial cannot tell another thrust from a spoilt trial
+        often[THRUST] = _THRUST_PART
+    regular = 1 - _SPOILT_PART - sum(often.values()) / count
+    found = []
+    for spoilt in product((False, True), repeat=count):
+        log_prior = sum(math.log(_SPOILT_PART if odd else regular) for odd in spoilt)
+        found.append(_Hypothesis(SPOILT if spoilt[-1] else REGULAR, log_prior, spoilt))
+    for kind, part in often.items():
+        found.append(_Hypothesis(kind, math.log(part), (False,) * count))
+    return found
 
 
 def _shared(kind: str, level_variance: float) -> F64:
@@ -95,20 +121,23 @@ def _shared(kind: str, level_variance: float) -> F64:
 
 
 def _covariance(
-    trials: Sequence[Expected], kind: str, model: F64, scatter: Scatter, level_variance: float
+    trials: Sequence[Expected],
+    hypothesis: _Hypothesis,
+    model: F64,
+    scatter: Scatter,
+    level_variance: float,
 ) -> F64:
-    """Of all measured beats, by one explanation."""
-    spoilt = kind == SPOILT
-    flow_m_s = SPOILT_FLOW_M_S if spoilt else scatter.flow_m_s
-    gain = SPOILT_GAIN if spoilt else scatter.gain
-    own = [STD_ABS * scatter.start_m_s, flow_m_s, gain]
+    """Of all measured beats, by one hypothesis."""
+    kind = hypothesis.kind
     numbers = model + np.diag(np.square(OTHER)) if kind == SHAPE else model
     by = np.vstack([trial.by for trial in trials])
     covariance = by[:, :_COUNT] @ numbers @ by[:, :_COUNT].T
     covariance += by[:, _COUNT:] @ _shared(kind, level_variance) @ by[:, _COUNT:].T
     at = 0
-    for trial in trials:
-        alone = trial.by[:, _COUNT:] * own
+    for trial, spoilt in zip(trials, hypothesis.spoilt, strict=True):
+        flow_m_s = SPOILT_FLOW_M_S if spoilt else scatter.flow_m_s
+        gain = SPOILT_GAIN if spoilt else scatter.gain
+        alone = trial.by[:, _COUNT:] * [STD_ABS * scatter.start_m_s, flow_m_s, gain]
         here = slice(at, at + len(alone))
         covariance[here, here] += trial.noise + alone @ alone.T
         at += len(alone)

@@ -42,13 +42,13 @@ class Prior:
     kappa, slope and wake_s are relative (of the logarithm)."""
 
     model: FishModel = field(
-        default_factory=lambda: FishModel(10.0, 0.19, 0.15, 0.3, 0.0, 0.004, 0.15, 1.0)
+        default_factory=lambda: FishModel(10.0, 0.2, 0.17, 0.3, 0.0, 0.004, 0.15, 1.0)
     )
     kappa: float = 0.8
-    slope: float = 0.5
-    dead_zone_rad: float = 0.10
+    slope: float = 0.4
+    dead_zone_rad: float = 0.09
     delay_s: float = 0.25
-    bend_per_rad: float = 0.7
+    bend_per_rad: float = 0.5
     linear_drag_m_s: float = 0.006
     wake_share: float = 0.15
     wake_s: float = 0.5
@@ -69,7 +69,8 @@ class Fit:
     """``covariance``: 8 x 8, of the model as ``vector_of`` has it. ``conditions``: one per trial;
     ``condition_variance``: of its (start, flow, log gain), shape (trials, 3). ``residual_m_s``: per
     trial, measured minus model, NaN where not measured. ``rms_m_s``: of all residuals; ``beats``:
-    how many there are. ``vector``: all unknowns, for a fit that begins where this one ended."""
+    how many there are. ``oddness``: per trial, mean square of its residuals over what was expected
+    of them. ``vector``: all unknowns, for a fit that begins where this one ended."""
 
     model: FishModel
     covariance: F64
@@ -78,6 +79,7 @@ class Fit:
     residual_m_s: list[F64]
     rms_m_s: float
     beats: int
+    oddness: F64
     vector: F64
 
 
@@ -155,7 +157,7 @@ def fit_robust(
         found = fit(trials, prior, scatter, weights, centres, begin)
         begin = found.vector
         own = begin[_SHARED:].reshape(-1, _CONDITIONS) - np.pad(centres, ((0, 0), (1, 0)))
-        weights = np.minimum(weights_of(own[:, 1:], scatter), most)
+        weights = np.minimum(weights_of(own[:, 1:], found.oddness, scatter), most)
         scatter = learned(trials, found.residual_m_s, own, found.condition_variance, weights, usual)
     return Robust(found, scatter, weights)
 
@@ -254,7 +256,7 @@ class _Problem:
         centres: F64,
     ) -> None:
         count = len(trials)
-        self.trials = trials
+        self.trials, self.weights = trials, weights
         self.white = [
             _whitener(trial, prior.model, scatter, weight)
             for trial, weight in zip(trials, weights, strict=True)
@@ -323,8 +325,17 @@ class _Problem:
             residual_m_s=residual,
             rms_m_s=float(np.sqrt(np.mean(known**2))),
             beats=len(known),
+            oddness=self._oddness(residual),
             vector=x,
         )
+
+    def _oddness(self, residual: Sequence[F64]) -> F64:
+        rows = zip(self.trials, self.white, self.weights, residual, strict=True)
+        squares = [
+            float(np.mean((white @ left[trial.measured]) ** 2)) / weight if white.size else 1.0
+            for trial, white, weight, left in rows
+        ]
+        return np.array(squares)
 
 
 def _whitener(trial: TrialSpeeds, model: FishModel, scatter: Scatter, weight: float) -> F64:

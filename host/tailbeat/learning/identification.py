@@ -35,10 +35,11 @@ _REMEDY = "Identify the fish: tailbeat session identify --out FILE"
 
 @dataclass(frozen=True)
 class Identified:
-    """``models``: the bootstrap's, at least one. ``covariance``: as in Fit. ``scatter``: how
-    trials differ. ``assumed``: names of ``FishModel`` fields that no data spoke of (a table of
-    steady speeds tells nothing of kappa and delay). ``source``: ``table``, ``runs`` or ``trials``.
-    ``alpha_kg_m``: the thesis's drag coefficient by (8.5)-(8.13) where steady speeds are known."""
+    """``models``: the bootstrap's, at least one. ``covariance``: as in Fit, or 4 x 4.
+    ``scatter``: how trials differ. ``assumed``: names of ``FishModel`` fields that no data spoke of
+    (a table of steady speeds tells nothing of kappa and delay). ``source``: ``table``, ``runs`` or
+    ``trials``. ``alpha_kg_m``: the thesis's drag coefficient by (8.5)-(8.13) where steady speeds
+    are known."""
 
     model: FishModel
     models: list[FishModel]
@@ -51,13 +52,14 @@ class Identified:
     alpha_kg_m: float | None = None
     trials: list[TrialSpeeds] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        """Where only the first four numbers were identified, as by earlier versions and from a
-        table, the shape is known no better than of any fish."""
+    @property
+    def whole_covariance(self) -> F64:
+        """Of all numbers: where only the first four were identified, as by earlier versions and
+        from a table, the shape is known no better than of any fish."""
         known = np.asarray(self.covariance, dtype=np.float64)
         whole = Prior().covariance
         whole[: len(known), : len(known)] = known
-        object.__setattr__(self, "covariance", whole)
+        return whole
 
     @property
     def band(self) -> dict[str, tuple[float, float]]:
@@ -69,7 +71,8 @@ class Identified:
     def as_dict(self) -> dict[str, Any]:
         """What the file holds: JSON types, SI units; NaN as null."""
         names = ("unique_id", "made", "source", "assumed", "alpha_kg_m", "model", "band")
-        models = [list(asdict(model).values()) for model in self.models]
+        count = len(self.covariance)
+        models = [list(asdict(model).values())[:count] for model in self.models]
         values = {name: getattr(self, name) for name in (*names, "covariance", "scatter")}
         found: dict[str, Any] = plain(
             {"format": _FORMAT, **values, "models": models, "swims": self.trials}

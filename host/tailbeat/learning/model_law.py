@@ -14,6 +14,7 @@ again from that and the trials.
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,6 +31,7 @@ from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.reference import Reference
 from tailbeat.learning.belief import Belief, believe
 from tailbeat.learning.convergence import input_crc
+from tailbeat.learning.explanation import THRUST
 from tailbeat.learning.fish_model import PARAMS, SIGMA_M_S, FishModel, TrialSpeeds, last_input
 from tailbeat.learning.fit import vector_of
 from tailbeat.learning.identification import Identified
@@ -41,6 +43,7 @@ FALLBACK = Law(kp_rad_s_m=4.0, lead_beats=1)
 # nearly all of that and costs little elsewhere.
 PLAN_POWER = 6.0
 MISFIT_M_S = 0.006  # of a beat, RMS: no model of this form explains the fish
+_NAMED_GAIN, _NAMED_FLOW_M_S = 0.02, 0.001  # smaller changes are not worth a word
 _NO_THRUST = 0.75  # of the dead zone: pushes nothing even if that is smaller than believed
 
 _WORDS = {
@@ -183,10 +186,10 @@ def _ready(amplitude_rad: F64, model: FishModel, amplitude_max_rad: float) -> F6
 
 def _law(belief: Belief, own: Sequence[TrialSpeeds]) -> str:
     """Which one makes the next input."""
-    if belief.misfit_m_s > MISFIT_M_S:
+    if belief.refuted_in_a_row == 1 and len(own) > 1:
+        return "best"
+    if belief.misfit_m_s > MISFIT_M_S or (belief.refuted and own):
         return "p"
-    if belief.refuted and own:
-        return "best" if len(own) > 1 else "p"
     return "model"
 
 
@@ -258,14 +261,31 @@ def _reason(belief: Belief, law: str) -> str:
     if not count:
         return "planned with the identified model, before any trial"
     text = f"re-fitted on {count} trial{'s' if count > 1 else ''}"
-    moved = _moved(belief)
+    moved = [*_changed(belief), *_moved(belief)]
     return f"{text}: {', '.join(moved)}" if moved else text
+
+
+def _changed(belief: Belief) -> list[str]:
+    """The last lasting change, in words."""
+    if not belief.changes:
+        return []
+    last = belief.changes[-1]
+    since = f"since trial {belief.trials[last.since].trial}"
+    if last.kind != THRUST:
+        return [f"{since} it moves like another fish (ballast, fin?)"]
+    words = []
+    if abs(last.log_gain) >= _NAMED_GAIN:
+        change = math.expm1(last.log_gain)
+        words.append(f"the same amplitude gives {change:+.0%} of speed (battery, servo, fin?)")
+    if abs(last.flow_m_s) >= _NAMED_FLOW_M_S:
+        words.append(f"the water moves by {last.flow_m_s * 1e3:+.1f} mm/s")
+    return [f"{since} {' and '.join(words)}"] if words else []
 
 
 def _moved(belief: Belief) -> list[str]:
     """The numbers that left their identified 95 % interval, and what they were."""
     identified = belief.identified
-    sigma = np.sqrt(np.diag(identified.covariance) + np.diag(belief.covariance))
+    sigma = np.sqrt(np.diag(identified.whole_covariance) + np.diag(belief.covariance))
     change = vector_of(belief.model) - vector_of(identified.model)
     found = []
     for name in np.array(PARAMS)[(np.abs(change) > 2 * sigma)[: len(PARAMS)]]:

@@ -76,16 +76,19 @@ def steepness(steady_m_s: F64) -> F64:
 _USUAL_TRIALS = 6.0  # what is usual counts as so many trials
 _USUAL_BEATS = 40.0
 _FREEDOM = 4.0  # of the t distribution that trials' conditions follow
+_ODD_BEATS = 4.0  # times the expected mean square, from which on a trial's beats count less
 _WEIGHT_MIN = 0.02
 _MIN_M_S = 0.0002
 
 
-def weights_of(conditions: F64, scatter: Scatter) -> F64:
+def weights_of(conditions: F64, oddness: F64, scatter: Scatter) -> F64:
     """How much each trial counts, up to 1. ``conditions``: (flow, log gain) less what was expected
-    of each trial, shape (trials, 2)."""
+    of each trial, shape (trials, 2). ``oddness``: as of a ``Fit``."""
     usual = np.array([scatter.flow_m_s, scatter.gain])
     odd = np.sum((conditions / np.maximum(usual, 1e-9)) ** 2, axis=1)
-    weight: F64 = np.clip((_FREEDOM + 2) / (_FREEDOM + odd), _WEIGHT_MIN, 1.0)
+    by_conditions = np.minimum((_FREEDOM + 2) / (_FREEDOM + odd), 1.0)
+    by_beats = np.minimum(_ODD_BEATS / np.maximum(oddness, 1e-9), 1.0)
+    weight: F64 = np.clip(by_conditions * by_beats, _WEIGHT_MIN, 1.0)
     return weight
 
 
@@ -104,7 +107,7 @@ def learned(
     squares = counts * (conditions**2 + np.minimum(variance, known**2) * [0, 1, 1])
     total = _USUAL_TRIALS * known**2 + squares.sum(axis=0)
     start, flow, gain = np.sqrt(total / (_USUAL_TRIALS + counts.sum(axis=0)))
-    moves, alone = _of_beats(trials, residual_m_s, usual)
+    moves, alone = _of_beats(trials, residual_m_s, weights, usual)
     return replace(
         usual,
         start_m_s=float(start), flow_m_s=float(flow), gain=float(gain),
@@ -112,21 +115,40 @@ def learned(
     )  # fmt: skip
 
 
+def _own_part(trials: Sequence[TrialSpeeds], residual_m_s: Sequence[F64]) -> list[F64]:
+    """Residuals without what the trials of a reference have in common, which is no scatter."""
+    found = [residual.copy() for residual in residual_m_s]
+    groups: dict[tuple[int, int], list[int]] = {}
+    for index, trial in enumerate(trials):
+        groups.setdefault((trial.reference_crc, trial.beats), []).append(index)
+    for (crc, _), group in groups.items():
+        if not crc or len(group) < 2:
+            continue
+        together = np.array([residual_m_s[index] for index in group])
+        count = np.isfinite(together).sum(axis=0)
+        common = np.nansum(together, axis=0) / np.maximum(count, 1)
+        wider = np.sqrt(count / np.maximum(count - 1, 1))
+        for index in group:
+            found[index] = (residual_m_s[index] - common) * wider
+    return found
+
+
 def _of_beats(
-    trials: Sequence[TrialSpeeds], residual_m_s: Sequence[F64], usual: Scatter
+    trials: Sequence[TrialSpeeds], residual_m_s: Sequence[F64], weights: F64, usual: Scatter
 ) -> tuple[float, float]:
     """(moves_m_s, model_m_s) by the products of residuals with themselves and their neighbours."""
     kept = float(np.exp(-(trials[0].beat_s if trials else 1.0) / MOVES_S))
     own = _USUAL_BEATS * (usual.moves_m_s**2 + usual.model_m_s**2)
     next_to = _USUAL_BEATS * usual.moves_m_s**2 * kept
     beats = pairs = _USUAL_BEATS
-    for trial, residual in zip(trials, residual_m_s, strict=True):
+    rows = zip(trials, _own_part(trials, residual_m_s), weights, strict=True)
+    for trial, residual, weight in rows:
         seen = np.isfinite(residual)
         both = seen[1:] & seen[:-1]
-        own += float(np.sum(residual[seen] ** 2 - trial.sigma_m_s[seen] ** 2))
-        next_to += float(np.sum(residual[1:][both] * residual[:-1][both]))
-        beats += int(seen.sum())
-        pairs += int(both.sum())
+        own += weight * float(np.sum(residual[seen] ** 2 - trial.sigma_m_s[seen] ** 2))
+        next_to += weight * float(np.sum(residual[1:][both] * residual[:-1][both]))
+        beats += weight * int(seen.sum())
+        pairs += weight * int(both.sum())
     moves = np.sqrt(max(next_to / pairs / kept, _MIN_M_S**2))
     alone = np.sqrt(max(own / beats - moves**2, _MIN_M_S**2))
     return float(moves), float(alone)

@@ -36,6 +36,7 @@ MODEL_PARAMS = {
 }
 _SPEED_SIGMA_M_S = 0.001  # of speeds that somebody uploads
 _NO_ROOM = ("aborted:ABORT_COMMAND", "aborted:WALL")
+_LIKE_THE_BOARDS = {"slope": 0.3, "dead_zone_rad": 0.08, "bend_per_rad": 0.4}
 _TRIED_RAD = 0.5  # where no trial tells the amplitudes
 _COASTS_ON = 0.5  # of the drag that is believed: a fish nobody knows may coast twice as far
 
@@ -89,10 +90,10 @@ def identify_fish(
 
 
 def prior_of(params: dict[str, float]) -> Prior:
-    """Around the model the board has, as wide as for any fish."""
+    """Around the model the board has: a fish like it, of any shape."""
     values = {field: params[name] for name, field in MODEL_PARAMS.items()}
     fits = values["kappa_per_m"] > 0 and values["slope_m_s_rad"] > 0
-    return Prior(FishModel(**values)) if fits else Prior()
+    return Prior(FishModel(**values), **_LIKE_THE_BOARDS) if fits else Prior()
 
 
 def set_params(fish: Fish, identified: Identified) -> dict[str, float]:

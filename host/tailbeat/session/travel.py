@@ -67,9 +67,9 @@ def travel_model_of(
     ``last`` teaches of it. A trial of which too little was measured teaches nothing."""
 
     if identified is not None:
-        sigma = np.sqrt(np.diag(identified.covariance))
+        sigma = np.sqrt(np.diag(identified.whole_covariance))
         prior = Prior(identified.model, *map(float, sigma))
-        known = identified.model, identified.covariance, identified.scatter
+        known = identified.model, identified.whole_covariance, identified.scatter
         by = "the identified fish"
     else:
         prior = prior_of(dict(params))

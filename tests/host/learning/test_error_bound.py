@@ -205,7 +205,7 @@ RUNS.append(np.r_[np.full(10, 0.7), np.zeros(14)])
 @pytest.mark.parametrize(
     ("fish", "allowed"),
     [
-        pytest.param({}, 0.10, id="right"),
+        pytest.param({}, 0.15, id="right"),
         pytest.param(
             {"map_bend_m_s_rad2": 0.15, "slope_m_s_rad": 0.15, "servo_lag_s": 0.12},
             0.25,

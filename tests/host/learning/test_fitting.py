@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tailbeat.core.errors import InputError
 from tailbeat.learning.error_bound_solve import plant_beats, plant_config
 from tailbeat.learning.fish_model import FishModel, TrialSpeeds
-from tailbeat.learning.fit import Prior, bootstrap, fit, sample
+from tailbeat.learning.fit import Prior, bootstrap, fit, sample, vector_of
 from tailbeat.learning.scatter import Scatter
 
 SIGMA_M_S = 0.0007
@@ -36,38 +38,56 @@ def of_the_tank(kappa: float, rng: np.random.Generator) -> list[TrialSpeeds]:
     return trials
 
 
+NEARLY_NOTHING = Scatter(
+    gain=1e-4, flow_m_s=1e-4, start_m_s=1e-4, model_m_s=1e-6, switch=0, moves_m_s=1e-6
+)
+
+
 def numbers(model: FishModel) -> list[float]:
     return list(vars(model).values())
 
 
 def test_exact_data_give_the_exact_model() -> None:
-    nearly_nothing = Scatter(gain=1e-4, flow_m_s=1e-4, start_m_s=1e-4, model_m_s=1e-6, switch=0)
-    found = fit(of_the_model(None), Prior(kappa=9, slope=9, dead_zone_rad=9, delay_s=9),
-                nearly_nothing)  # fmt: skip
-    assert numbers(found.model) == pytest.approx(numbers(TRUE), rel=1e-3)
-    assert found.rms_m_s < 1e-6
+    """Also one with a shape, whose numbers are told apart by amplitudes that rise and fall."""
+    plain = Prior(
+        FishModel(10.0, 0.2, 0.17, 0.3), kappa=9, slope=9, dead_zone_rad=9, delay_s=9,
+        bend_per_rad=1e-6, linear_drag_m_s=1e-7, wake_share=1e-7, wake_s=1e-6,
+    )  # fmt: skip
+    found = fit(of_the_model(None), plain, NEARLY_NOTHING)
+    assert numbers(found.model)[:4] == pytest.approx(numbers(TRUE)[:4], rel=2e-3)
+    assert found.rms_m_s < 2e-6
+    shaped = replace(TRUE, bend_per_rad=0.4, linear_drag_m_s=0.01, wake_share=0.3, wake_s=1.5)
+    any_fish = Prior(kappa=9, slope=9, dead_zone_rad=9, delay_s=9, bend_per_rad=9,
+                     linear_drag_m_s=9, wake_share=9, wake_s=9)  # fmt: skip
+    trials = [trial(u, shaped.beats(u, 1.0), None) for u in GENTLE]
+    found = fit(trials, any_fish, NEARLY_NOTHING)
+    assert numbers(found.model) == pytest.approx(numbers(shaped), rel=0.02)
+    assert found.rms_m_s < 1e-5
 
 
 @pytest.mark.parametrize("kappa", [5.0, 10.0, 20.0])
 def test_error_bars_hold_on_the_tank(kappa: float) -> None:
     """20 seeds: slope, dead zone and delay as the servo's lag of 40 ms lets them appear; the delay
-    is that of a fit to a noise-free swim at the floor, 0.314 to 0.316 s."""
+    is that of a fit to a noise-free swim at the floor, 0.314 to 0.316 s. This fish has no shape."""
     lag = 1 / np.hypot(1, 2 * np.pi * 0.04)
-    expected = np.array([np.log(kappa), np.log(0.219 * lag), 0.197 / lag, 0.315])
-    inside = np.zeros(4)
+    expected = np.array([np.log(kappa), np.log(0.219 * lag), 0.197 / lag, 0.315, 0, 0, 0])
+    inside, off = np.zeros(7), []
     for seed in range(20):
         found = fit(of_the_tank(kappa, np.random.default_rng(seed)))
-        m = found.model
-        got = [np.log(m.kappa_per_m), np.log(m.slope_m_s_rad), m.dead_zone_rad, m.delay_s]
-        inside += np.abs(np.array(got) - expected) < 1.96 * np.sqrt(np.diag(found.covariance))
+        got = vector_of(found.model)[:7]
+        inside += np.abs(got - expected) < 1.96 * np.sqrt(np.diag(found.covariance))[:7]
+        off.append(found.model.steady_m_s([0.35, 0.5, 0.7]) / (0.219 * lag) - [0.35, 0.5, 0.7])
     assert inside.min() >= 18, inside
+    assert np.abs(np.median(off, axis=0) + 0.197 / lag).max() < 0.006  # of the map, in rad
 
 
 def test_priors_pull_and_data_win() -> None:
     far = Prior(FishModel(20.0, 0.3, 0.1, 0.8))
-    certain = Prior(far.model, kappa=1e-4, slope=1e-4, dead_zone_rad=1e-5, delay_s=1e-4)
+    certain = Prior(far.model, *np.full(8, 1e-5).tolist())
     trials = of_the_model(np.random.default_rng(3))
-    assert numbers(fit(trials, certain).model) == pytest.approx(numbers(far.model), rel=1e-2)
+    assert numbers(fit(trials, certain).model) == pytest.approx(
+        numbers(far.model), rel=1e-2, abs=2e-3
+    )
     assert fit(trials, far).model.kappa_per_m == pytest.approx(TRUE.kappa_per_m, rel=0.1)
 
 

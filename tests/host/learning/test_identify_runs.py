@@ -79,15 +79,16 @@ def test_the_truth_is_inside_the_intervals(kappa: float) -> None:
     for seed in range(1, 21):
         pond = Pond(seed, kappa_per_m=kappa, **NO_SERVO)
         found = identify_runs(pond, Limits(math.pi / 4), quick=True)
+        straight = found.model.straight(math.pi / 4)
         for name, true in truth.items():
             low, high = found.band[name]
             inside[name] += low <= true <= high
-            errors[name].append(getattr(found.model, name) / true - 1)
+            errors[name].append(getattr(straight, name) / true - 1)
         assert max(pond.ways_m) < 3.0 - 0.36
     assert min(inside.values()) >= 18, inside
     median = {name: abs(float(np.median(e))) for name, e in errors.items()}
     assert median["kappa_per_m"] < 0.04
-    assert median["slope_m_s_rad"] < 0.015
+    assert median["slope_m_s_rad"] < 0.02  # of the line through the map, which may be bent
     assert median["dead_zone_rad"] < 0.02
     assert median["delay_s"] < 0.15
 
@@ -265,10 +266,12 @@ def test_the_board_has_everything_back(learned: Fish, tmp_path: Path) -> None:
     assert not (tmp_path / "safe").exists()
     assert found.unique_id == learned.unique_id()
     assert len(files) == 4
-    # The files tell the same fish: the prior is the board's, which is the usual one.
+    # The files tell the same fish, by the prior of any fish and not the board's.
     again, simulated = from_trials(files)
     assert simulated
-    assert vars(again.model) == pytest.approx(vars(found.model), rel=1e-6)
+    assert again.model.kappa_per_m == pytest.approx(found.model.kappa_per_m, rel=0.03)
+    speeds = again.model.steady_m_s([0.3, 0.4, 0.5])
+    assert speeds == pytest.approx(found.model.steady_m_s([0.3, 0.4, 0.5]), rel=0.02)
     assert again.alpha_kg_m is not None
     account = account_of(found)
     assert account.rms_m_s < 0.0015

@@ -53,8 +53,12 @@ TRUE = FishModel(10.0, 0.219, 0.197, 0.3)
 LSQ_M_S = {5: 0.0172, 10: 0.0113, 20: 0.0072}
 
 
+SHAPE_SIGMA = (0.05, 0.0005, 0.02, 0.1)
+
+
 def known(model: FishModel, sigma: Sequence[float] = (0.1, 0.02, 0.01, 0.05)) -> Identified:
     """As if identified."""
+    sigma = (*sigma, *SHAPE_SIGMA)
     return Identified(model, [model], np.diag(np.square(sigma)))
 
 
@@ -165,35 +169,41 @@ def test_flow_that_repeats_is_learned_also_for_another_reference() -> None:
     assert abs(believe(identified, still.trials).typical.flow_m_s) < 0.001
 
 
-def test_fish_that_changes_gets_one_step_of_p_and_then_a_model_again() -> None:
+def test_fish_that_changes_is_named_and_learned_at_once() -> None:
     identified, tank, changed = known(TRUE), Tank(1), Tank(1, slope_m_s_rad=0.219 * 0.6)
+    setting = ModelStepSetting(thesis(), AMPLITUDE_MAX_RAD)
     tank.learn(identified, thesis(), 2)
-    trials, said = list(tank.trials), []
+    trials, reasons = list(tank.trials), []
     error = math.nan
     for _ in range(4):
-        proposal = propose(identified, ModelStepSetting(thesis(), AMPLITUDE_MAX_RAD), trials)
-        said.append(proposal.law)
+        proposal = propose(identified, setting, trials)
+        reasons.append(proposal.reason)
+        assert proposal.law == "model"
         error = changed.trial(proposal.amplitude_rad, thesis())
-        trials.append(changed.trials[-1])
-    assert said == ["model", "p", "model", "model"]
+        trials.append(replace(changed.trials[-1], trial=len(trials) + 1))
     assert error <= 1.25 * LSQ_M_S[10]
-    last = propose(identified, ModelStepSetting(thesis(), AMPLITUDE_MAX_RAD), trials)
-    assert last.model.slope_m_s_rad == pytest.approx(0.219 * 0.6, rel=0.08)
-    assert last.trials == (1, 2, 3, 4) and "slope 0.1" in last.reason
+    belief = believe(identified, trials)
+    now = belief.model.steady_m_s(0.6) * math.exp(belief.level()[0])
+    assert now == pytest.approx(0.6 * TRUE.steady_m_s(0.6), rel=0.08)
+    assert any("since trial 3" in reason for reason in reasons), reasons
 
 
-def test_step_of_p_is_the_laws() -> None:
+def test_refuted_goes_back_to_the_best_input_or_takes_a_step_of_p() -> None:
     wanted = thesis()
     good = _as_modelled(TRUE, 0.3 + 0.1 * np.sin(np.arange(40)), wanted)
-    odd = replace(good, speed_m_s=good.speed_m_s[::-1].copy(), trial=2)
+    nonsense = np.where(np.arange(40) % 7 < 3, 0.08, 0.0)
+    odd = replace(good, speed_m_s=nonsense, trial=2, amplitude_rad=good.amplitude_rad + 0.05)
     odd.speed_m_s[7] = np.nan
-    law = Law(kp_rad_s_m=3.0, lead_beats=1)
-    found = propose(known(TRUE), ModelStepSetting(wanted, 0.5, law=law), [good, odd])
-    assert found.law == "p" and found.chance < 1e-3
+    setting = ModelStepSetting(wanted, 0.5, law=Law(kp_rad_s_m=3.0, lead_beats=1))
+    found = propose(known(TRUE), setting, [good, odd])
+    assert found.law == "best" and found.chance < 1e-3
+    assert np.array_equal(found.amplitude_rad, good.amplitude_rad)
+    alone = propose(known(TRUE), setting, [odd])
+    assert alone.law == "p"
     error = np.r_[(wanted.speed_m_s - odd.speed_m_s)[1:], np.nan]
     expected = np.clip(odd.amplitude_rad + 3.0 * error, 0, 0.5)
     seen = np.isfinite(expected)
-    np.testing.assert_allclose(found.amplitude_rad[seen], expected[seen], atol=1e-6)
+    np.testing.assert_allclose(alone.amplitude_rad[seen], expected[seen], atol=1e-6)
 
 
 def test_fish_of_no_sense_is_left_to_p() -> None:
@@ -216,8 +226,8 @@ def _as_modelled(
     return TrialSpeeds(amplitude, speed, sigma, reference.beat_s, reference.crc, trial, trial)
 
 
-def test_disturbance_is_a_scalar_kalman_filter_per_beat() -> None:
-    """Same amplitudes, same residual: by the textbook's recursion; unmeasured beats stay at 0."""
+def test_disturbance_is_what_all_trials_together_say_of_it() -> None:
+    """The recursion against one normal distribution of the disturbance and all residuals."""
     amplitude = np.full(40, 0.5)
     bump = np.zeros(40)
     bump[20:23] = 0.003, -0.004, 0.003
@@ -227,28 +237,24 @@ def test_disturbance_is_a_scalar_kalman_filter_per_beat() -> None:
     trials = [replace(clean, speed_m_s=speed, trial=number) for number in (1, 2, 3)]
     belief = believe(known(TRUE), trials)
     assert belief.fit is not None and not belief.refuted
-    mean, variance = belief.disturbance(thesis().crc, 40)
-    steady = float(belief.model.steady_m_s(0.5))
-    usual = 0.001**2 + (0.015 * steady) ** 2  # where amplitudes do not change
-    share = _share(belief.fit.residual_m_s, usual, steady)
-    estimate, p = 0.0, share * usual
-    for k, residual in enumerate(belief.fit.residual_m_s):
-        p += 0.1 * share * 0.001**2 if k else 0.0
-        gain = p / (p + 0.0007**2 + 0.0002**2)
-        estimate += gain * (residual[21] - estimate)
-        p = (1 - gain) * p
-    assert mean[21] == pytest.approx(estimate, rel=1e-9)
-    assert variance[21] == pytest.approx(p, rel=1e-9)
-    assert mean[30] == 0 and variance[30] > variance[29]
+    mean, covariance = belief.disturbance(thesis().crc, 40)
+    scatter, seen = belief.scatter, np.arange(40) != 30
+    apart = np.abs(np.subtract.outer(np.arange(40), np.arange(40)))
+    begin = max(0.001, belief.misfit_m_s) ** 2 * np.exp(-apart / 2.0)
+    begin += np.diag(scatter.alone(belief.model, amplitude) - scatter.model_m_s**2)
+    noise = scatter.moves_m_s**2 * np.exp(-apart / 6.0)
+    noise += np.eye(40) * (0.0007**2 + scatter.model_m_s**2)
+    walks = np.minimum.outer(np.arange(3), np.arange(3)) * 0.0003**2
+    states = np.kron(np.ones((3, 3)), begin) + np.kron(walks, np.eye(40))
+    told = states + np.kron(np.diag(1 / belief.weights), noise)
+    kept = np.tile(seen, 3)
+    weight = np.linalg.solve(told[np.ix_(kept, kept)], states[np.ix_(kept, np.arange(80, 120))])
+    residuals = np.concatenate(belief.fit.residual_m_s)[kept]
+    np.testing.assert_allclose(mean, weight.T @ residuals, atol=1e-9)
+    left = states[80:, 80:] - weight.T @ states[np.ix_(kept, np.arange(80, 120))]
+    np.testing.assert_allclose(covariance, left, atol=1e-13)
+    assert covariance[30, 30] > covariance[29, 29]
     assert not belief.disturbance(12345, 40)[0].any()
-
-
-def _share(residuals: Sequence[Array], usual: float, steady: float) -> float:
-    """10 beats as usual and the measured ones as they are; the first two follow a hard switch."""
-    expected = np.full(40, usual)
-    expected[:2] += (0.05 * steady) ** 2
-    odd = sum(float(np.nansum((r**2 - 0.0007**2) / expected)) for r in residuals)
-    return (10 + odd) / (10 + sum(int(np.isfinite(r).sum()) for r in residuals))
 
 
 def test_band_holds_nine_tenths_and_the_test_raises_no_false_alarm() -> None:

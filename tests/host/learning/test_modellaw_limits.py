@@ -21,7 +21,8 @@ REFERENCE = thesis()
 
 def known(kappa: float, slope: float = 0.219) -> Identified:
     model = FishModel(kappa, slope, 0.197, 0.3)
-    return Identified(model, [model], np.diag(np.square([0.1, 0.02, 0.01, 0.05])))
+    sigma = [0.1, 0.02, 0.01, 0.05, 0.05, 0.0005, 0.02, 0.1]
+    return Identified(model, [model], np.diag(np.square(sigma)))
 
 
 def recorded(batch: FishBatch, proposal: Proposal, number: int) -> tuple[TrialSpeeds, float]:
@@ -76,10 +77,10 @@ def test_only_what_the_step_limit_holds_is_counted() -> None:
             == 0
         )
     strong = known(10, slope=0.3)  # believes that less will do
-    weak, _ = recorded(batch, propose(strong, ModelStepSetting(REFERENCE, LIMIT_RAD)), 1)
-    held = propose(
-        strong, ModelStepSetting(REFERENCE, LIMIT_RAD, step_max_rad=0.02, law=None), [weak]
-    )
+    setting = ModelStepSetting(REFERENCE, LIMIT_RAD, step_max_rad=0.02)
+    before, _ = recorded(batch, propose(strong, setting), 1)
+    weak, _ = recorded(batch, propose(strong, setting, [before]), 2)  # one may have been spoilt
+    held = propose(strong, setting, [before, weak])
     binds = np.isclose(np.abs(held.amplitude_rad - weak.amplitude_rad), 0.02)
     assert 10 < held.limited_beats <= np.count_nonzero(binds)
 
@@ -116,10 +117,12 @@ def test_a_refuted_cut_trial_is_stepped_from_the_whole_input() -> None:
     """A P step from zeros would leave the fish at rest beyond the cut."""
     batch = FishBatch("tank", [{"seed": 4.0}])
     first, _ = recorded(batch, propose(known(10), ModelStepSetting(REFERENCE, LIMIT_RAD)), 1)
-    stopped = cut(replace(first, speed_m_s=first.speed_m_s * 0.5), 20)
+    nonsense = np.where(np.arange(40) % 7 < 3, 0.08, 0.0)
+    stopped = cut(replace(first, speed_m_s=nonsense), 20)
     law = Law(kp_rad_s_m=4.0, lead_beats=1)
+    whole = replace(first, speed_m_s=nonsense)
     following = propose(
-        known(10), ModelStepSetting(REFERENCE, LIMIT_RAD, law=law), [first, stopped]
+        known(10), ModelStepSetting(REFERENCE, LIMIT_RAD, law=law), [whole, stopped]
     )
     assert following.law == "p"
     beyond = slice(21, 40)  # the lead reaches one beat back from the first unmeasured one

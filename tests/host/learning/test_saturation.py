@@ -58,7 +58,7 @@ def test_the_need_by_the_model_and_by_the_trials_agree(series: list[Trial]) -> N
     assert by_model is not None and by_model.needed_rad is not None
     assert by_trials is not None and by_trials.needed_rad is not None
     assert by_model.needed_rad == pytest.approx(needed_rad(known().identified, thesis()))
-    assert by_trials.needed_rad == pytest.approx(by_model.needed_rad, abs=0.03)
+    assert by_trials.needed_rad == pytest.approx(by_model.needed_rad, abs=0.04)
     assert "by the identified model" in by_model.words
     assert "by a model fitted to 6 trials, extrapolated beyond the limit" in by_trials.words
     applied = series[-1].beats.applied_rad

@@ -42,7 +42,8 @@ TANK = FishModel(10.0, 0.212, 0.203, 0.32)
 
 
 def known(model: FishModel = TANK, *others: FishModel) -> Identified:
-    return Identified(model, [model, *others], np.diag([0.01, 1e-4, 1e-4, 1e-3]), source="runs")
+    known = np.diag([0.01, 1e-4, 1e-4, 1e-3, 1e-3, 1e-7, 1e-4, 1e-2])
+    return Identified(model, [model, *others], known, source="runs")
 
 
 class Somebody:

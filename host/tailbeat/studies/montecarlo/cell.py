@@ -19,6 +19,7 @@ from tailbeat.learning.error_bound import ErrorBound, error_bound, suggest
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
+from tailbeat.learning.planner import plan
 from tailbeat.studies.montecarlo import learners
 from tailbeat.studies.montecarlo.learners import (
     ROLLED_BACK,
@@ -27,6 +28,7 @@ from tailbeat.studies.montecarlo.learners import (
     Columns,
     FishBatch,
 )
+from tailbeat.studies.montecarlo.populations import draw, still
 from tailbeat.studies.montecarlo.recipe import (
     REFERENCE_IDENTIFIED,
     REFERENCES_FEASIBLE,
@@ -36,7 +38,9 @@ from tailbeat.studies.montecarlo.recipe import (
     SimSettings,
 )
 from tailbeat.studies.montecarlo.results import FAILED, Table, pyarrow, schema
+from tailbeat.studies.montecarlo.smallest_error import smallest_error
 
+FIRST_TRIAL = 9  # of a population: the trials before are the identification's, which drifts, too
 _CHUNKS = {"p": 250, "repeats": 250, "design": 5, "model": 5}  # each some seconds of work at most
 _ANOTHER_SEED = 0  # of the fish that a reference is made for: one of those that learn, but not them
 
@@ -106,11 +110,11 @@ def _run(recipe: Recipe, cell: Cell, phases: Phases) -> Table:
 
 
 def _trials(recipe: Recipe, cell: Cell, phases: Phases) -> Table:
-    fish = [{**cell.plant.values, **cell.noise.values, "seed": seed} for seed in cell.seeds]
+    fish = [_fish_of(cell, seed) for seed in cell.seeds]
     batch = FishBatch(cell.plant.plant, fish)
-    rows = _Rows(recipe, cell)
+    rows = _Rows(recipe, cell, fish)
     learner = _LEARNERS[cell.law.kind](recipe, cell, fish, phases[0][0])
-    number = 0
+    number = FIRST_TRIAL - 1 if cell.plant.population else 0
     for ground, iterations in phases:
         reference = ground.reference
         learner.begin(reference)
@@ -120,25 +124,45 @@ def _trials(recipe: Recipe, cell: Cell, phases: Phases) -> Table:
             amplitude = learner.following()
             reached = cell.noise.executed(cell.seeds, number, reference.beats)
             trials = batch.run(amplitude, number, reference.beat_s).cut(reached)
+            rows.judge(amplitude, number)
             report = learner.learn(trials) | {"predicted_floor_m_s": learner.bound_m_s}
             rows.add(amplitude, trials, reached, report)
+    rows.own_bounds()
     return rows.table()
 
 
 def _failed(recipe: Recipe, cell: Cell, phases: Phases, error: Exception) -> Table:
     message = error.message if isinstance(error, TailbeatError) else f"{error!r}"
-    rows = _Rows(recipe, cell)
+    rows = _Rows(recipe, cell, [_fish_of(cell, seed) for seed in cell.seeds])
     for ground, iterations in phases:
         rows.failed(ground, iterations, " ".join(message.split()))
     return rows.table()
 
 
+def _fish_of(cell: Cell, seed: int) -> dict[str, float]:
+    plant = cell.plant
+    drawn = draw(plant.population, plant.plant, seed) if plant.population else {}
+    return {**drawn, **plant.values, **cell.noise.values, "seed": seed}
+
+
+def _smallest_error(
+    recipe: Recipe, cell: Cell, fish: dict[str, float], reference: Reference, more: list[F64]
+) -> tuple[float, F64]:
+    """From the inputs of two plain fish models and ``more``."""
+    wanted, most = reference.speed_m_s.astype(np.float64), recipe.amplitude_max_rad
+    kappa_per_m = float(plant_config(cell.plant.plant, fish).kappa_per_m)
+    plain = [FishModel(kappa_per_m, 0.13, 0.1, 0.2), FishModel(kappa_per_m, 0.18, 0.15, 0.4)]
+    starts = [plan(model, wanted, reference.beat_s, most).amplitude_rad for model in plain]
+    return smallest_error(cell.plant.plant, fish, wanted, reference.beat_s, most, [*more, *starts])
+
+
 @dataclass(frozen=True)
 class _Ground:
-    """What a plant and a reference are to each other."""
+    """What a plant and a reference are to each other. ``bound``: None where every fish has its
+    own."""
 
     reference: Reference
-    bound: ErrorBound
+    bound: ErrorBound | None
 
 
 Fish = list[dict[str, float]]
@@ -146,6 +170,10 @@ Phases = list[tuple[_Ground, int]]  # what is learned one after the other, each 
 
 
 def _ground_of(recipe: Recipe, cell: Cell, reference: str) -> _Ground:
+    if cell.plant.population:
+        if reference in REFERENCES_FEASIBLE:
+            raise InputError("a population has no feasible reference.", "Give one that is fixed.")
+        return _Ground(references.from_text(reference), None)
     noise = cell.noise.values if reference == REFERENCE_IDENTIFIED else {}
     values = cell.plant.values | noise
     return _ground(
@@ -181,7 +209,10 @@ def _reference(
 
 
 def _fixed(recipe: Recipe, cell: Cell, fish: Fish, ground: _Ground) -> BatchLearner:
-    return learners.FixedInput(ground.bound.lsq_input.astype(np.float64), len(fish))
+    if ground.bound is not None:
+        return learners.FixedInput(ground.bound.lsq_input.astype(np.float64), len(fish))
+    best = [_smallest_error(recipe, cell, one, ground.reference, [])[1] for one in fish]
+    return learners.FixedInput(np.array(best), len(fish))
 
 
 def _board(recipe: Recipe, cell: Cell, fish: Fish, ground: _Ground) -> BatchLearner:
@@ -192,8 +223,10 @@ def _board(recipe: Recipe, cell: Cell, fish: Fish, ground: _Ground) -> BatchLear
 
 def _identified(recipe: Recipe, cell: Cell, fish: Fish, ground: _Ground) -> BatchLearner:
     most, beat_s = recipe.amplitude_max_rad, ground.reference.beat_s
+    first = 1 if cell.plant.population else learners.FIRST_RUN
     known = [
-        learners.identify(cell.plant.plant, _at_corner(one, cell), most, beat_s) for one in fish
+        learners.identify(cell.plant.plant, _at_corner(one, cell), most, beat_s, first)
+        for one in fish
     ]
     return _BY_MODEL[cell.law.kind](known, cell.law, most)
 
@@ -204,6 +237,8 @@ _LEARNERS = {"p": _board, "repeats": _fixed, "design": _identified, "model": _id
 
 def _at_corner(fish: dict[str, float], cell: Cell) -> dict[str, float]:
     """The fish that is identified."""
+    if not cell.law.corners:
+        return fish
     config = plant_config(cell.plant.plant, fish)
     corner = cell.corner
     return fish | {
@@ -217,11 +252,14 @@ def _at_corner(fish: dict[str, float], cell: Cell) -> dict[str, float]:
 class _Rows:
     """Collects columns of shape (iterations, fish)."""
 
-    def __init__(self, recipe: Recipe, cell: Cell) -> None:
-        self.cell = cell
+    def __init__(self, recipe: Recipe, cell: Cell, fish: Fish) -> None:
+        self.recipe, self.cell, self.each = recipe, cell, fish
         self.amplitude_max_rad = recipe.amplitude_max_rad
         self.fish = len(cell.seeds)
-        self.kappa_per_m = float(plant_config(cell.plant.plant, cell.plant.values).kappa_per_m)
+        configs = [plant_config(cell.plant.plant, one) for one in fish]
+        self.kappa_per_m = np.array([float(config.kappa_per_m) for config in configs])
+        self._best = [(np.inf, np.zeros(0))] * len(fish)
+        self._judged: Columns = {}
         self.rows: list[dict[str, Any]] = []
 
     def begin(self, ground: _Ground, bound_m_s: F64) -> None:
@@ -249,7 +287,8 @@ class _Rows:
         """A trial executed for ``executed`` beats."""
         at_limit = amplitude >= np.float32(self.amplitude_max_rad) * (1 - 1e-7)
         self._put(
-            self._errors(self.wanted - trials.speed_m_s, self.wanted - trials.true_m_s)
+            self._judged
+            | self._errors(self.wanted - trials.speed_m_s, self.wanted - trials.true_m_s)
             | self._bounds(amplitude, trials.true_m_s, executed)
             | report
             | {"saturated_beats": at_limit.sum(axis=1)}
@@ -257,6 +296,18 @@ class _Rows:
         self._before = amplitude
         verdict = np.array(report.get("verdict", ""))
         self._made_by_law = np.broadcast_to(verdict != ROLLED_BACK, self.fish)
+
+    def judge(self, amplitude: F64, number: int) -> None:
+        """What the next trial's inputs would do without noise, where each fish has its own bound,
+        and the best of them so far."""
+        if self.ground.bound is not None:
+            return
+        batch = FishBatch(self.cell.plant.plant, [still(one) for one in self.each])
+        true = batch.run(amplitude, number, self.ground.reference.beat_s).true_m_s
+        error = np.abs(self.wanted - true).max(axis=1)
+        self._judged = {"input_max_abs_error_m_s": error}
+        for i, (size, row) in enumerate(zip(error, amplitude, strict=True)):
+            self._best[i] = min(self._best[i], (float(size), row), key=lambda one: one[0])
 
     def failed(self, ground: _Ground, iterations: int, why: str) -> None:
         """Nothing is known of any trial."""
@@ -301,16 +352,29 @@ class _Rows:
         self.iteration += 1
         cell, ground = self.cell, self.ground
         names = {key: getattr(cell, key).name for key in ("plant", "law", "noise", "corner")}
+        bound = ground.bound
+        floors = {} if bound is None else {
+            "floor_minimax_m_s": bound.minimax_m_s, "floor_lsq_m_s": bound.lsq_max_abs_m_s,
+        }  # fmt: skip
         self.rows.append(
-            columns | names | {
+            columns | names | floors | {
                 "iteration": self.iteration,
                 "seed": cell.seeds,
                 "reference": ground.reference.name,
                 "kappa_per_m": self.kappa_per_m,
-                "floor_minimax_m_s": ground.bound.minimax_m_s,
-                "floor_lsq_m_s": ground.bound.lsq_max_abs_m_s,
             }
         )  # fmt: skip
+
+    def own_bounds(self) -> None:
+        """Each fish's own smallest error, from the best input of the law among other starts."""
+        if self.ground.bound is not None:
+            return
+        found = [
+            _smallest_error(self.recipe, self.cell, fish, self.ground.reference, [best])[0]
+            for fish, (_, best) in zip(self.each, self._best, strict=True)
+        ]
+        for row in self.rows:
+            row["floor_minimax_m_s"] = np.array(found)
 
     def table(self) -> Table:
         """Fish by fish, in the order of the iterations."""

@@ -23,6 +23,7 @@ from tailbeat.core.law import PAST_KINDS, Averaging, Law, errors_of
 from tailbeat.core.law_memory import LawMemory
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import Reference
+from tailbeat.learning.belief import believe
 from tailbeat.learning.convergence import Score, assess, input_crc
 from tailbeat.learning.design import design
 from tailbeat.learning.error_bound_solve import plant_config
@@ -30,7 +31,7 @@ from tailbeat.learning.fish_model import SIGMA_M_S, FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import Limits, identify_runs
 from tailbeat.learning.law_prediction import next_ratio
-from tailbeat.learning.model_law import ModelStepSetting, propose
+from tailbeat.learning.model_law import ModelStepSetting, propose_by
 from tailbeat.learning.planner import plan
 from tailbeat.sim.config import senseless
 from tailbeat.studies.montecarlo.recipe import LawSpec
@@ -125,14 +126,14 @@ class BatchLearner:
 
 
 class FixedInput(BatchLearner):
-    """The same input again and again. ``amplitude_rad``: shape (beats,)."""
+    """The same input again and again. ``amplitude_rad``: shape (beats,), or (fish, beats)."""
 
     def __init__(self, amplitude_rad: F64, fish: int) -> None:
         super().__init__(fish)
         self.amplitude_rad = amplitude_rad
 
     def following(self) -> F64:
-        return np.tile(self.amplitude_rad, (self.fish, 1))
+        return np.broadcast_to(self.amplitude_rad, (self.fish, self.amplitude_rad.shape[-1]))
 
     def learn(self, trials: BatchTrials) -> Columns:
         return {"swum_law": "fixed"}
@@ -256,13 +257,19 @@ class DesignedLaw(_IdentifiedFish):
 class ModelBasedLaw(_IdentifiedFish):
     """Learning with the model, from the identification and all trials along any reference on."""
 
+    def __init__(
+        self, identified: Sequence[Identified], spec: LawSpec, amplitude_max_rad: float
+    ) -> None:
+        super().__init__(identified, spec, amplitude_max_rad)
+        self._beliefs = [believe(one, []) for one in identified]
+
     def following(self) -> F64:
         """Proposes."""
         most = self.amplitude_max_rad
         setting = ModelStepSetting(self._reference, most, law=law_of(self.spec, most))
         self._proposals = [
-            propose(one, setting, kept)
-            for one, kept in zip(self.identified, self._trials, strict=True)
+            propose_by(one, setting, kept)
+            for one, kept in zip(self._beliefs, self._trials, strict=True)
         ]
         self.bound_m_s = self._bounds([one.model for one in self._proposals])
         self._amplitude = np.clip([one.amplitude_rad for one in self._proposals], 0, most)
@@ -273,7 +280,12 @@ class ModelBasedLaw(_IdentifiedFish):
         quantiles = np.array([one.predicted_max_abs_error_m_s for one in self._proposals]).T
         report: Columns = dict(zip(names, quantiles, strict=True))
         laws = [one.law for one in self._proposals]
-        return report | {"swum_law": laws, "verdict": self._assessed(trials)}
+        verdicts = self._assessed(trials)
+        for i, kept in enumerate(self._trials):
+            if kept[-1].measured.any():
+                self._beliefs[i] = self._beliefs[i].after(kept[-1])
+        refuted = [float(one.refuted) for one in self._beliefs]
+        return report | {"swum_law": laws, "verdict": verdicts, "refuted": refuted}
 
 
 def _score(trial: TrialSpeeds, number: int, reference: Reference) -> Score:
@@ -298,11 +310,15 @@ def speeds_of(
 
 
 def identify(
-    plant: str, settings: dict[str, float], amplitude_max_rad: float, beat_s: float
+    plant: str,
+    settings: dict[str, float],
+    amplitude_max_rad: float,
+    beat_s: float,
+    first_run: int = FIRST_RUN,
 ) -> Identified:
-    """Identification runs of one simulated fish."""
+    """Identification runs of one simulated fish. ``first_run``: keys the noise of the first."""
     batch = FishBatch(plant, [settings])
-    numbers = count(FIRST_RUN)
+    numbers = count(first_run)
 
     def execute(amplitude_rad: F64) -> TrialSpeeds:
         row = amplitude_rad[None, :]

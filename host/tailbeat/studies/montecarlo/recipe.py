@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from importlib.resources import files
 from itertools import product
 from pathlib import Path
@@ -27,6 +27,7 @@ from tailbeat.core.law import PAST_KINDS
 from tailbeat.core.native import lib
 from tailbeat.core.reference import from_text
 from tailbeat.sim.config import PLANTS, config_field, make_config
+from tailbeat.studies.montecarlo.populations import POPULATIONS, draw
 from tailbeat.studies.montecarlo.results import NUMBER_COLUMNS
 
 LAW_KINDS = ("p", "design", "model", "repeats")
@@ -84,12 +85,14 @@ def parse_lengths(text: str) -> Lengths | None:
 class SimSettings:
     """A plant or a noise: values of the simulator (fields of ``sim_config_t``) under a name.
     ``plant``: the simulator's plant they change; meaningless for a noise. ``lengths``: how long
-    trials are (``parse_lengths``); of a noise only."""
+    trials are (``parse_lengths``); of a noise only. ``population``: that each fish is drawn from
+    (``POPULATIONS``), "" = all are as ``values`` say; of a plant only."""
 
     name: str
     values: dict[str, float] = field(default_factory=dict)
     plant: str = "tank"
     lengths: str = ""
+    population: str = ""
 
     def executed(self, seeds: Iterable[int], trial: int, beats: int) -> NDArray[np.int64]:
         """Whole beats that each fish swims of ``beats`` in its trial ``trial``."""
@@ -296,7 +299,13 @@ class _Reader:
         return self.settings(label, settings, lengths)
 
     def plant(self, raw: dict[str, Any], index: int) -> list[SimSettings]:
-        return self.settings(f"plant {raw.get('name', index)}", raw)
+        label, population = f"plant {raw.get('name', index)}", str(raw.get("population", ""))
+        if population:
+            self.of(label, "population", population, POPULATIONS)
+        settings = {key: value for key, value in raw.items() if key != "population"}
+        if population and "name" not in settings:
+            settings["name"] = f"{settings.get('plant', 'tank')} {population}"
+        return [replace(one, population=population) for one in self.settings(label, settings)]
 
     def settings(self, label: str, raw: dict[str, Any], lengths: str = "") -> list[SimSettings]:
         """One, or as many as the product of the values that are given as lists."""
@@ -384,7 +393,11 @@ class _Reader:
     def check_simulator(self, recipe: Recipe) -> None:
         """The simulator itself says whether the values make sense."""
         for plant, noise in product(recipe.plants, recipe.noises):
-            config = make_config(plant.plant, recipe.first_seed, plant.values | noise.values)
+            drawn = (
+                draw(plant.population, plant.plant, recipe.first_seed) if plant.population else {}
+            )
+            values = drawn | plant.values | noise.values
+            config = make_config(plant.plant, recipe.first_seed, values)
             if not lib.sim_config_valid(config):
                 raise self.fail(
                     f"the simulator cannot run plant '{plant.name}' with noise '{noise.name}'",

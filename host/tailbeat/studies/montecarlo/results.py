@@ -19,6 +19,7 @@ _NUMBER = (
     "kappa_per_m",
     "max_abs_error_m_s",
     "true_max_abs_error_m_s",
+    "input_max_abs_error_m_s",
     "rms_error_m_s",
     "true_rms_error_m_s",
     "floor_minimax_m_s",
@@ -38,8 +39,9 @@ _NUMBER = (
     "true_min_m_s",
     "true_max_m_s",
     "travel_m",
+    "refuted",
 )
-DERIVED = ("ratio_inside", "prediction_inside", "floor_prediction_error")
+DERIVED = ("near_bound", "ratio_inside", "prediction_inside", "floor_prediction_error")
 NUMBER_COLUMNS = (*_NUMBER, *_WHOLE, *DERIVED)
 
 

@@ -30,6 +30,7 @@ _RANGES = (  # derived column, what is predicted, its 5 % and 95 %
     ("ratio_inside", "ratio", "ratio_low", "ratio_high"),
     ("prediction_inside", "max_abs_error_m_s", "predicted_low_m_s", "predicted_high_m_s"),
 )
+_NEAR_M_S = 0.0005  # and a tenth of the bound: an input as near as that is at its bound
 _EARLIER = slice(4, 7)  # trials 5 to 7, by which a run has settled, and its last ones
 _LAST = slice(-3, None)
 
@@ -54,6 +55,8 @@ class Rows:
             columns[name] = column.to_numpy(zero_copy_only=False)
         for name, of, low, high in _RANGES:
             columns[name] = _inside(columns[of], columns[low], columns[high])
+        near = 1.1 * columns["floor_minimax_m_s"] + _NEAR_M_S
+        columns["near_bound"] = (columns["input_max_abs_error_m_s"] <= near).astype(np.float64)
         bound = columns["floor_lsq_m_s"]
         with np.errstate(invalid="ignore", divide="ignore"):  # a bound of 0 or none
             columns["floor_prediction_error"] = np.abs(columns["predicted_floor_m_s"] / bound - 1)

@@ -364,7 +364,7 @@ def study(
     with Fish.connect(url, **world) as fish:
         wanted = {"AMP_MAX_RAD": math.pi / 4, "DU_MAX_RAD": 0, "TANK_LEN_M": 0, "ILC_LEAD": lead}
         names = ("MDL_KAPPA", "MDL_SLOPE", "MDL_DEAD_RAD", "MDL_DELAY_S")
-        wanted |= dict(zip(names, vars(model).values(), strict=True))
+        wanted |= dict(zip(names, list(vars(model).values())[:4], strict=True))
         for name, value in wanted.items():
             fish.params.set(name, value)
         fish.upload_reference(new.record())
