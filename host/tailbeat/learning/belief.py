@@ -17,7 +17,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.learning.explanation import (
+from tailbeat.learning.fish_model import NUMBERS, Conditions, FishModel, TrialSpeeds
+from tailbeat.learning.fit import Fit, Prior, Robust, fit_robust, speed_and_slopes
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.prediction import (
     AGED,
     OTHER,
     SHAPE,
@@ -25,12 +28,9 @@ from tailbeat.learning.explanation import (
     THRUST,
     Expected,
     Explanation,
+    Prediction,
     explain,
 )
-from tailbeat.learning.fish_model import NUMBERS, Conditions, FishModel, TrialSpeeds
-from tailbeat.learning.fit import Fit, Prior, Robust, fit_robust, speed_and_slopes
-from tailbeat.learning.identification import Identified
-from tailbeat.learning.prediction import Prediction
 from tailbeat.learning.scatter import STD_ABS, Scatter
 
 FALSE_ALARM = 1e-3  # of the test of one regular trial by the best explanation of it
@@ -151,7 +151,7 @@ class Belief:
     @property
     def misfit_m_s(self) -> float:
         """What the model leaves out of a beat, RMS, as the trials show it."""
-        return math.hypot(self.scatter.moves_m_s, self.scatter.model_m_s)
+        return self.scatter.misfit_m_s
 
     def disturbance(
         self, reference_crc: int, beats: int, amplitude_rad: F64 | None = None
@@ -226,7 +226,8 @@ class Belief:
             both = [self.trials[-1], trial]
             together = self.before.explained(both)
             if together.kind in (THRUST, SHAPE):
-                return self.before._taken(both, together, chance, None)
+                start = replace(self.before, refuted_in_a_row=self.refuted_in_a_row)
+                return start._taken(both, together, chance, None)
             return self._taken([trial], together, chance, before)
         return self._taken([trial], self.explained([trial]), chance, before)
 
@@ -256,7 +257,7 @@ class Belief:
             change = Change(found.kind, len(self.trials), found.log_gain, found.flow_m_s)
             changes, rounds = (*changes, change), _COLD_ROUNDS
         spoilt = [found.kind == SPOILT] * len(trials)
-        refuted = self.refuted_in_a_row + len(trials) if found.chance < FALSE_ALARM else 0
+        refuted = self.refuted_in_a_row + 1 if found.chance < FALSE_ALARM else 0
         taken = replace(
             self,
             trials=(*self.trials, *trials),

@@ -31,11 +31,11 @@ from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.reference import Reference
 from tailbeat.learning.belief import Belief, believe
 from tailbeat.learning.convergence import input_crc
-from tailbeat.learning.explanation import THRUST
 from tailbeat.learning.fish_model import PARAMS, SIGMA_M_S, FishModel, TrialSpeeds, last_input
 from tailbeat.learning.fit import vector_of
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.planner import plan
+from tailbeat.learning.prediction import THRUST
 
 FALLBACK = Law(kp_rad_s_m=4.0, lead_beats=1)
 # Between least squares (2) and minimax (infinity). The largest error is what a fish is judged by,

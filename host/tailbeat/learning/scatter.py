@@ -7,6 +7,7 @@ spoilt makes neither the fish seem to scatter nor the model wrong.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -31,6 +32,11 @@ class Scatter:
     model_m_s: float = 0.0005
     switch: float = 0.03
     moves_m_s: float = 0.001
+
+    @property
+    def misfit_m_s(self) -> float:
+        """What the model leaves out of a beat, RMS."""
+        return math.hypot(self.moves_m_s, self.model_m_s)
 
     def draw(self, rng: np.random.Generator) -> Conditions:
         """How one trial differs from the others."""

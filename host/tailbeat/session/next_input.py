@@ -197,6 +197,8 @@ def choose_next_input(proposal: Proposal, restored: bool, best_m_s: float | None
     The proposal takes its place only where the model foresees less than that."""
     if not restored:
         return NextInput(True)
+    if proposal.law == "best":
+        return NextInput(False, "the best amplitudes swim next, as the model asks, too")
     if proposal.law == "p":
         return NextInput(False, "the best amplitudes swim next, not a step by P")
     median = proposal.predicted_max_abs_error_m_s[1]

@@ -4,6 +4,8 @@ against differences."""
 from __future__ import annotations
 
 import itertools
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -122,3 +124,65 @@ def test_a_model_without_sense_is_refused(bad: FishModel) -> None:
         FishModel(1, 1, 0, 0).beats([float("nan")], 1.0)
     with pytest.raises(InputError, match="no sense"):
         FishModel(1, 1, 0, 0).beats(np.zeros(513), 1.0)
+
+
+SHAPES = [
+    FishModel(8.0, 0.2, 0.1, 0.33, 0.4, 0.01, 0.3, 0.8),
+    FishModel(12.0, 0.15, 0.05, 1.2, -0.6, 0.004, 0.5, 2.5),
+    FishModel(6.0, 0.2, 0.15, 0.0, 0.0, 0.0, 0.0, 1.0),
+]
+
+
+@pytest.mark.parametrize("model", SHAPES)
+def test_the_maps_ways_there_and_back(model: FishModel) -> None:
+    strongest = model.strongest_rad(0.785)
+    amplitude = np.linspace(model.dead_zone_rad + 0.01, min(strongest, 0.785) - 0.01, 20)
+    assert model.amplitude_of_root(model.root(amplitude)) == pytest.approx(amplitude)
+    assert model.amplitude_rad(model.steady_m_s(amplitude)) == pytest.approx(amplitude)
+    step = 1e-6
+    rise = (model.root(amplitude + step) - model.root(amplitude - step)) / (2 * step)
+    assert model.root_slope(amplitude) == pytest.approx(rise, rel=1e-5)
+    speed = model.steady_m_s(amplitude)
+    rise = (model.steady_m_s(amplitude + step) - model.steady_m_s(amplitude - step)) / (2 * step)
+    assert model.steady_slope(speed) == pytest.approx(rise, rel=1e-4)
+    assert model.root(strongest) >= np.max(model.root(np.linspace(0, 0.785, 200)))
+    straight = model.straight(0.5)
+    assert straight.amplitude_rad(0.05) == pytest.approx(model.amplitude_rad(0.05), abs=0.04)
+
+
+@pytest.mark.parametrize("model", SHAPES)
+def test_drag_and_wake_against_small_steps(model: FishModel) -> None:
+    """dv/dt = kappa*(f - v*v - linear*v), df by the wake, in 4000 steps a beat."""
+    amplitude = 0.4 + 0.3 * np.sin(np.arange(10.0))
+    thrust, steps = model.thrust(amplitude), 4000
+    v, x, wake, expected = 0.01, 0.0, 0.0, [0.0]
+    for beat in range(10):
+        for i in range(steps):
+            sent = math.floor(beat + (i + 0.5) / steps - model.delay_s)
+            w = thrust[sent] if sent >= 0 else 0.0
+            force = (1 - model.wake_share) * w + model.wake_share * wake
+            drag = v * v + model.linear_drag_m_s * v
+            v, x = max(v + model.kappa_per_m * (force - drag) / steps, 0.0), x + v / steps
+            wake += (w - wake) / model.wake_s / steps
+        expected.append(x)
+    distance, _, _ = model.distance(thrust, 1.0, 0.01)
+    assert distance == pytest.approx(np.array(expected), abs=3e-4 * expected[-1])
+
+
+@pytest.mark.parametrize("model", SHAPES[:2])
+def test_derivatives_by_the_shape(model: FishModel) -> None:
+    thrust = model.thrust(0.4 + 0.3 * np.sin(np.arange(10.0)))
+    _, by_w, by_model = model.distance(thrust, 1.0, 0.01, slopes=True)
+    assert by_w is not None and by_model is not None
+    for name, column in (("linear_drag_m_s", 3), ("wake_share", 4), ("wake_s", 5)):
+        step = 1e-6
+        low, high = (
+            replace(model, **{name: getattr(model, name) + way}).distance(thrust, 1.0, 0.01)[0]
+            for way in (-step, step)
+        )
+        assert by_model[:, column] == pytest.approx((high - low) / (2 * step), abs=1e-6), name
+    for k in (0, 4, 9):
+        more = thrust.copy()
+        more[k] += 1e-7
+        moved = model.distance(more, 1.0, 0.01)[0] - model.distance(thrust, 1.0, 0.01)[0]
+        assert by_w[:, k] == pytest.approx(moved / 1e-7, abs=1e-4)

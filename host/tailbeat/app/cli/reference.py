@@ -42,6 +42,7 @@ def _bound_document(around: ErrorBoundRange) -> dict[str, Any]:
     return {
         **pick(around.bound, "minimax_m_s", "lsq_max_abs_m_s", "lsq_rms_m_s", "spots"),
         "lsq_max_abs_band_m_s": around.lsq_max_abs_m_s,
+        "minimax_band_m_s": around.minimax_m_s,
         "minimax_input_rad": around.bound.minimax_input,
         "lsq_input_rad": around.bound.lsq_input,
     }
@@ -50,11 +51,11 @@ def _bound_document(around: ErrorBoundRange) -> dict[str, Any]:
 def _bound_lines(around: ErrorBoundRange, assumed: Sequence[str]) -> list[str]:
     """One line, and one for each place where the reference cannot be reached. ``assumed``: what of
     the fish was not identified."""
-    found, (low, high) = around.bound, around.lsq_max_abs_m_s
+    found, (low, high) = around.bound, around.minimax_m_s
     lines = [
-        f"error bound (least squares) {mm(found.lsq_max_abs_m_s)} mm/s ({mm(low)} to {mm(high)} by"
-        f" what is known of the fish), minimax {mm(found.minimax_m_s)}: no input can do better than"
-        " that",
+        f"error bound (least squares) {mm(found.lsq_max_abs_m_s)} mm/s, minimax"
+        f" {mm(found.minimax_m_s)} ({mm(low)} to {mm(high)}): on the identified model no input"
+        " does better than that",
         *map(_spot_text, found.spots),
     ]
     if assumed:

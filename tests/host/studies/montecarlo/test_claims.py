@@ -129,6 +129,13 @@ BOUNDS = {  # of each recipe's claims: statistic, iteration, at least, at most, 
         ("p90", 2, None, 1.1, "any"),
         ("share", None, 0.8, None, "any"),
     ],
+    "populations": [
+        ("share", 2, 0.95, None, "reactive mild"),
+        ("share", 2, 0.92, None, "reactive realistic"),
+        ("share", 4, 0.75, None, "reactive hard"),
+        ("share", None, None, 0.02, "any"),
+        ("share", None, 0.78, None, "any"),
+    ],
     "repeats": [
         ("p90", None, 1.1, None, "any"),
     ],
