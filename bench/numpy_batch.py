@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.studies.montecarlo.learners import BatchTrials, FishBatch
+from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 
 Array = NDArray[np.float64]
 

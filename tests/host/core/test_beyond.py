@@ -16,7 +16,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.law import Law
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import thesis
-from tailbeat.studies.montecarlo.learners import FishBatch
+from tailbeat.studies.montecarlo.batch import FishBatch
 
 KEEP, HOLD, TAPER = range(3)
 NAMES = ("keep", "hold", "taper")

@@ -32,7 +32,7 @@ from tailbeat.learning.convergence import (
 )
 from tailbeat.session.next_input import dry_run
 from tailbeat.session.trial import run_trial
-from tailbeat.studies.montecarlo.learners import FishBatch
+from tailbeat.studies.montecarlo.batch import FishBatch
 
 from .. import made_analyses as made
 from ..swum_experiment import swim_experiment

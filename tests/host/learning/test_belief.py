@@ -16,7 +16,8 @@ from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import ModelStepSetting, propose
-from tailbeat.studies.montecarlo.learners import FishBatch, identify
+from tailbeat.studies.montecarlo.batch import FishBatch
+from tailbeat.studies.montecarlo.learners import identify
 
 Array = F64
 

@@ -30,7 +30,8 @@ from tailbeat.learning.identification import Identified, identify_table
 from tailbeat.learning.law_prediction import expected_series, next_ratio, response
 from tailbeat.learning.planner import plan
 from tailbeat.learning.scatter import Scatter
-from tailbeat.studies.montecarlo.learners import FishBatch, identify
+from tailbeat.studies.montecarlo.batch import FishBatch
+from tailbeat.studies.montecarlo.learners import identify
 
 Array = F64
 

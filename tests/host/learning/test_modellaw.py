@@ -43,7 +43,7 @@ from tailbeat.session.next_input import (
     trials_since,
 )
 from tailbeat.session.trial import run_trial
-from tailbeat.studies.montecarlo.learners import FishBatch
+from tailbeat.studies.montecarlo.batch import FishBatch
 
 Array = F64
 

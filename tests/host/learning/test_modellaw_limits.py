@@ -13,7 +13,7 @@ from tailbeat.core.reference import thesis
 from tailbeat.learning.fish_model import FishModel, TrialSpeeds, last_input
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import ModelStepSetting, Proposal, predicted_before, propose
-from tailbeat.studies.montecarlo.learners import FishBatch
+from tailbeat.studies.montecarlo.batch import FishBatch
 
 LIMIT_RAD = math.pi / 4
 REFERENCE = thesis()

@@ -17,8 +17,8 @@ from tailbeat.link.messages import BeatEvent
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.studies.montecarlo import learners
+from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.cell import cells, run_cell
-from tailbeat.studies.montecarlo.learners import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.recipe import ClaimSpec, SimSettings, load, parse, parse_lengths
 from tailbeat.studies.montecarlo.summary import Rows, judge, summarise
 

@@ -224,6 +224,7 @@ def montecarlo(
     cores: int | None = opt("Processes; default: one per core.", min=1),
     seeds: int | None = opt("Fish of each kind; default: the recipe's.", min=1),
     scheduler: str | None = opt("Compute on a Dask cluster.", "tcp://HOST:PORT"),
+    plant: Path | None = opt("Fish compiled elsewhere, instead of the recipe's.", "FILE.so"),
     plot: Path | None = opt("Draw the curves.", "PNG"),
     check: bool = opt("Fail when a claim of the recipe does not hold."),
     summary: Path | None = opt("Compute nothing; sum up what is there.", "DIR"),
@@ -245,6 +246,9 @@ def montecarlo(
             raise typer.BadParameter("no recipe; 'tailbeat sim montecarlo --list' names them")
         chosen = load(recipe)
         chosen = chosen if seeds is None else chosen.with_seeds(seeds)
+        chosen = chosen if plant is None else chosen.with_plant(plant)
+        if plant is not None and scheduler is not None:
+            raise typer.BadParameter("--plant is of this computer; leave out --scheduler")
         out = out or SWEEPS / chosen.name
         store, about = StudyFolder(out), _compute(chosen, out, cores, scheduler)
     found = summarise(chosen, store.read())

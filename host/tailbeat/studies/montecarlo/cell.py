@@ -21,12 +21,17 @@ from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.planner import plan
 from tailbeat.studies.montecarlo import learners
+from tailbeat.studies.montecarlo.batch import (
+    QUIET_TRIAL,
+    BatchTrials,
+    batch_of,
+    is_foreign,
+    smallest_error,
+)
 from tailbeat.studies.montecarlo.learners import (
     ROLLED_BACK,
     BatchLearner,
-    BatchTrials,
     Columns,
-    FishBatch,
 )
 from tailbeat.studies.montecarlo.populations import draw, still
 from tailbeat.studies.montecarlo.recipe import (
@@ -38,7 +43,6 @@ from tailbeat.studies.montecarlo.recipe import (
     SimSettings,
 )
 from tailbeat.studies.montecarlo.results import FAILED, Table, pyarrow, schema
-from tailbeat.studies.montecarlo.smallest_error import smallest_error
 
 FIRST_TRIAL = 9  # of a population: the trials before are the identification's, which drifts, too
 _CHUNKS = {"p": 250, "repeats": 250, "design": 5, "model": 5}  # each some seconds of work at most
@@ -111,10 +115,10 @@ def _run(recipe: Recipe, cell: Cell, phases: Phases) -> Table:
 
 def _trials(recipe: Recipe, cell: Cell, phases: Phases) -> Table:
     fish = [_fish_of(cell, seed) for seed in cell.seeds]
-    batch = FishBatch(cell.plant.plant, fish)
+    batch = batch_of(cell.plant.plant, fish)
     rows = _Rows(recipe, cell, fish)
     learner = _LEARNERS[cell.law.kind](recipe, cell, fish, phases[0][0])
-    number = FIRST_TRIAL - 1 if cell.plant.population else 0
+    number = FIRST_TRIAL - 1 if cell.plant.each_its_own else 0
     for ground, iterations in phases:
         reference = ground.reference
         learner.begin(reference)
@@ -145,12 +149,20 @@ def _fish_of(cell: Cell, seed: int) -> dict[str, float]:
     return {**drawn, **plant.values, **cell.noise.values, "seed": seed}
 
 
+def _kappa_per_m(cell: Cell, fish: dict[str, float]) -> float:
+    """NaN: nobody knows."""
+    if is_foreign(cell.plant.plant):
+        return np.nan
+    return float(plant_config(cell.plant.plant, fish).kappa_per_m)
+
+
 def _smallest_error(
     recipe: Recipe, cell: Cell, fish: dict[str, float], reference: Reference, more: list[F64]
 ) -> tuple[float, F64]:
     """From the inputs of two plain fish models and ``more``."""
     wanted, most = reference.speed_m_s.astype(np.float64), recipe.amplitude_max_rad
-    kappa_per_m = float(plant_config(cell.plant.plant, fish).kappa_per_m)
+    kappa_per_m = _kappa_per_m(cell, fish)
+    kappa_per_m = 10.0 if np.isnan(kappa_per_m) else kappa_per_m
     plain = [FishModel(kappa_per_m, 0.13, 0.1, 0.2), FishModel(kappa_per_m, 0.18, 0.15, 0.4)]
     starts = [plan(model, wanted, reference.beat_s, most).amplitude_rad for model in plain]
     return smallest_error(cell.plant.plant, fish, wanted, reference.beat_s, most, [*more, *starts])
@@ -170,9 +182,11 @@ Phases = list[tuple[_Ground, int]]  # what is learned one after the other, each 
 
 
 def _ground_of(recipe: Recipe, cell: Cell, reference: str) -> _Ground:
-    if cell.plant.population:
+    if cell.plant.each_its_own:
         if reference in REFERENCES_FEASIBLE:
-            raise InputError("a population has no feasible reference.", "Give one that is fixed.")
+            raise InputError(
+                "fish that all differ have no feasible reference.", "Give one that is fixed."
+            )
         return _Ground(references.from_text(reference), None)
     noise = cell.noise.values if reference == REFERENCE_IDENTIFIED else {}
     values = cell.plant.values | noise
@@ -223,7 +237,7 @@ def _board(recipe: Recipe, cell: Cell, fish: Fish, ground: _Ground) -> BatchLear
 
 def _identified(recipe: Recipe, cell: Cell, fish: Fish, ground: _Ground) -> BatchLearner:
     most, beat_s = recipe.amplitude_max_rad, ground.reference.beat_s
-    first = 1 if cell.plant.population else learners.FIRST_RUN
+    first = 1 if cell.plant.each_its_own else learners.FIRST_RUN
     known = [
         learners.identify(cell.plant.plant, _at_corner(one, cell), most, beat_s, first)
         for one in fish
@@ -256,8 +270,7 @@ class _Rows:
         self.recipe, self.cell, self.each = recipe, cell, fish
         self.amplitude_max_rad = recipe.amplitude_max_rad
         self.fish = len(cell.seeds)
-        configs = [plant_config(cell.plant.plant, one) for one in fish]
-        self.kappa_per_m = np.array([float(config.kappa_per_m) for config in configs])
+        self.kappa_per_m = np.array([_kappa_per_m(cell, one) for one in fish])
         self._best = [(np.inf, np.zeros(0))] * len(fish)
         self._judged: Columns = {}
         self.rows: list[dict[str, Any]] = []
@@ -302,7 +315,9 @@ class _Rows:
         and the best of them so far."""
         if self.ground.bound is not None:
             return
-        batch = FishBatch(self.cell.plant.plant, [still(one) for one in self.each])
+        plant = self.cell.plant.plant
+        batch = batch_of(plant, [still(one) for one in self.each])
+        number = QUIET_TRIAL if is_foreign(plant) else number
         true = batch.run(amplitude, number, self.ground.reference.beat_s).true_m_s
         error = np.abs(self.wanted - true).max(axis=1)
         self._judged = {"input_max_abs_error_m_s": error}

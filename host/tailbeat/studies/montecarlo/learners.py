@@ -9,96 +9,31 @@ are taught with the very functions that a real fish is taught with.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tailbeat.core import trial_checks as judging
 from tailbeat.core.arrays import F64
-from tailbeat.core.errors import InputError
 from tailbeat.core.law import PAST_KINDS, Averaging, Law, errors_of
 from tailbeat.core.law_memory import LawMemory
-from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import Reference
 from tailbeat.learning.belief import believe
 from tailbeat.learning.convergence import Score, assess, input_crc
 from tailbeat.learning.design import design
-from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.fish_model import SIGMA_M_S, FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import Limits, identify_runs
 from tailbeat.learning.law_prediction import next_ratio
 from tailbeat.learning.model_law import ModelStepSetting, propose_by
 from tailbeat.learning.planner import plan
-from tailbeat.sim.config import senseless
+from tailbeat.studies.montecarlo.batch import BatchTrials, batch_of
 from tailbeat.studies.montecarlo.recipe import LawSpec
 
 ROLLED_BACK = "rolled_back"  # what the board's law reports when it brought the best back
 FIRST_RUN = 1001  # noise of identification runs is keyed from here, that of trials from 1
-
-
-@dataclass(frozen=True)
-class BatchTrials:
-    """Shape (fish, beats), m/s over ground. ``speed_m_s``: measured, NaN = too few pictures;
-    ``sigma_m_s``: its standard deviation from the scatter about the line, NaN likewise;
-    ``true_m_s``: the simulator's own."""
-
-    speed_m_s: F64
-    sigma_m_s: F64
-    true_m_s: F64
-
-    def cut(self, executed: NDArray[np.int64]) -> BatchTrials:
-        """As it is known of trials that ended after ``executed`` whole beats, shape (fish,). The
-        simulator's own speeds go on: they are what the amplitudes would have done."""
-        beyond = np.arange(self.speed_m_s.shape[1]) >= executed[:, None]
-        speed, sigma = (np.where(beyond, np.nan, of) for of in (self.speed_m_s, self.sigma_m_s))
-        return BatchTrials(speed_m_s=speed, sigma_m_s=sigma, true_m_s=self.true_m_s)
-
-
-class FishBatch:
-    """Fish given as settings of the simulator (fields of ``sim_config_t``, ``seed`` among them)
-    that differ from the plant's defaults. Raises InputError when a value makes no sense."""
-
-    def __init__(self, plant: str, fish: Sequence[dict[str, float]]) -> None:
-        self._count = len(fish)
-        self._configs: Any = ffi.new("sim_config_t[]", max(1, self._count))
-        for index, settings in enumerate(fish):
-            config = plant_config(plant, settings)
-            if not lib.sim_config_valid(config):
-                raise senseless()
-            self._configs[index] = config[0]
-
-    def run(
-        self, amplitude_rad: F64, number: int | NDArray[np.uint32], beat_s: float = 1.0
-    ) -> BatchTrials:
-        """One trial of each, with ``amplitude_rad`` of shape (fish, beats); ``number`` keys the
-        noise (1 = the first trial), one for all or one for each. Raises InputError when a value
-        makes no sense."""
-        amplitude = np.ascontiguousarray(amplitude_rad, dtype=np.float64)
-        if amplitude.ndim != 2 or len(amplitude) != self._count:
-            raise InputError(
-                f"amplitudes of shape {amplitude.shape} do not fit {self._count} fish.",
-                "Give one row of amplitudes per fish.",
-            )
-        numbers = np.ascontiguousarray(np.broadcast_to(number, self._count), dtype=np.uint32)
-        true, speed, sigma = (np.empty_like(amplitude) for _ in range(3))
-        arrays = [ffi.from_buffer("double[]", one) for one in (amplitude, true, speed, sigma)]
-        if not lib.shoal_swim(
-            self._configs, self._count, ffi.from_buffer("uint32_t[]", numbers), arrays[0],
-            amplitude.shape[1], beat_s, *arrays[1:],
-        ):  # fmt: skip
-            raise InputError(
-                f"no fish can swim these amplitudes in beats of {beat_s:g} s.",
-                "Amplitudes are finite, in rad; a beat is a multiple of 0.02 s.",
-            )
-        return BatchTrials(speed_m_s=speed, sigma_m_s=sigma, true_m_s=true)
-
-    def config(self, index: int) -> Any:
-        """``sim_config_t *`` of one fish, a copy."""
-        return ffi.new("sim_config_t *", self._configs[range(self._count)[index]])
 
 
 Columns = dict[str, Any]
@@ -317,7 +252,7 @@ def identify(
     first_run: int = FIRST_RUN,
 ) -> Identified:
     """Identification runs of one simulated fish. ``first_run``: keys the noise of the first."""
-    batch = FishBatch(plant, [settings])
+    batch = batch_of(plant, [settings])
     numbers = count(first_run)
 
     def execute(amplitude_rad: F64) -> TrialSpeeds:

@@ -27,6 +27,7 @@ from tailbeat.core.law import PAST_KINDS
 from tailbeat.core.native import lib
 from tailbeat.core.reference import from_text
 from tailbeat.sim.config import PLANTS, config_field, make_config
+from tailbeat.studies.montecarlo.batch import foreign_plant
 from tailbeat.studies.montecarlo.populations import POPULATIONS, draw
 from tailbeat.studies.montecarlo.results import NUMBER_COLUMNS
 
@@ -86,13 +87,20 @@ class SimSettings:
     """A plant or a noise: values of the simulator (fields of ``sim_config_t``) under a name.
     ``plant``: the simulator's plant they change; meaningless for a noise. ``lengths``: how long
     trials are (``parse_lengths``); of a noise only. ``population``: that each fish is drawn from
-    (``POPULATIONS``), "" = all are as ``values`` say; of a plant only."""
+    (``POPULATIONS``), "" = all are as ``values`` say; of a plant only. ``code``: checksum of a
+    plant compiled elsewhere, whose path ``plant`` is then."""
 
     name: str
     values: dict[str, float] = field(default_factory=dict)
     plant: str = "tank"
     lengths: str = ""
     population: str = ""
+    code: str = ""
+
+    @property
+    def each_its_own(self) -> bool:
+        """Whether every fish is another one, with an error bound of its own."""
+        return bool(self.population or self.code)
 
     def executed(self, seeds: Iterable[int], trial: int, beats: int) -> NDArray[np.int64]:
         """Whole beats that each fish swims of ``beats`` in its trial ``trial``."""
@@ -198,6 +206,18 @@ class Recipe(_Learning, kw_only=True):
         if seeds < 1:
             raise InputError(f"{seeds} seeds are none.", "Give 1 or more.")
         return msgspec.structs.replace(self, seeds=seeds)
+
+    def with_plant(self, path: Path) -> Recipe:
+        """The same on a plant compiled elsewhere, without what is only of the simulator's. Raises
+        InputError when it is none."""
+        foreign_plant(str(path))
+        code = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+        plant = SimSettings(path.stem, {}, str(path.resolve()), code=code)
+        noises = [SimSettings(one.name, {}, lengths=one.lengths) for one in self.noises[:1]]
+        return msgspec.structs.replace(
+            self, name=f"{self.name}-{path.stem}", plants=[plant], noises=noises, corners=[],
+            claims=[], laws=[msgspec.structs.replace(law, corners=False) for law in self.laws],
+        )  # fmt: skip
 
     @property
     def crc(self) -> str:

@@ -15,7 +15,7 @@ from tailbeat.core.reference import thesis
 from tailbeat.sensors.camera.tracking.live import BeatFit
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.world import Wires
-from tailbeat.studies.montecarlo.learners import BatchTrials, FishBatch
+from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 
 Array = F64
 

@@ -28,8 +28,8 @@ from tailbeat.core.reference import from_text
 from tailbeat.learning.fish_model import SIGMA_M_S
 from tailbeat.studies.montecarlo import cell as cell_module
 from tailbeat.studies.montecarlo import learners, runner
+from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.cell import Cell, cells, run_cell
-from tailbeat.studies.montecarlo.learners import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.recipe import Recipe, load, parse
 from tailbeat.studies.montecarlo.results import identity
 from tailbeat.studies.montecarlo.runner import Interrupted, StudyFolder, compute, run_study

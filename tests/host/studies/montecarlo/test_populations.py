@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import math
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import tailbeat
+from tailbeat.app.cli import run
+from tailbeat.core.errors import InputError
 from tailbeat.core.native import lib
 from tailbeat.core.reference import thesis
 from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
+from tailbeat.studies.montecarlo.batch import FishBatch, batch_of, smallest_error
 from tailbeat.studies.montecarlo.cell import cells, run_cell
-from tailbeat.studies.montecarlo.learners import FishBatch
 from tailbeat.studies.montecarlo.populations import POPULATIONS, draw, still
 from tailbeat.studies.montecarlo.recipe import load, parse
-from tailbeat.studies.montecarlo.smallest_error import smallest_error
 
 MOST_RAD = math.pi / 4
 WANTED = thesis().speed_m_s.astype(np.float64)
@@ -102,3 +106,68 @@ def test_refusals(tmp_path: Path) -> None:
     with pytest.raises(Exception, match="no feasible reference"):
         run_cell(recipe, cells(recipe)[0])
     assert load("populations").plants[0].population == "mild"
+
+
+FOREIGN = """
+#include "tailbeat_plant.h"
+uint32_t tailbeat_plant_abi(void) { return TAILBEAT_PLANT_ABI; }
+bool tailbeat_plant_trial(uint64_t seed, uint32_t trial, double beat_s, uint32_t beats,
+                          const double *amplitude_rad, const double *bias_rad, double *speed_m_s,
+                          double *heading_rad) {
+    double v = 0, gain = trial ? 1 + 0.02 * (double)((seed * 7 + trial * 13) % 5) / 5 : 1;
+    (void)bias_rad;
+    if (beats > 512) return false;
+    for (uint32_t k = 0; k < beats; k++) {
+        double a = amplitude_rad[k], wanted = gain * 0.16 * a / (0.4 + a), sum = 0;
+        for (int i = 0; i < 100; i++) {
+            v += beat_s / 100 * (wanted - v) * (0.3 + 5 * v);
+            sum += v / 100;
+        }
+        speed_m_s[k] = sum;
+        heading_rad[k] = 0;
+    }
+    return true;
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("foreign")
+    (folder / "swimmer.c").write_text(FOREIGN)
+    include, out = Path(tailbeat.__file__).parent, folder / "swimmer.so"
+    command = ["cc", "-std=c11", "-Wall", "-Werror", "-shared", "-fPIC", "-O2", f"-I{include}"]
+    subprocess.run([*command, "-o", str(out), str(folder / "swimmer.c")], check=True)
+    return out
+
+
+def test_a_plant_compiled_elsewhere_learns(
+    foreign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the command that a user types; the fish is no fish of ours."""
+    arguments = ["sim", "montecarlo", "populations", "--plant", str(foreign), "--seeds", "2"]
+    assert run([*arguments, "--out", str(tmp_path / "out"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    (group,) = found["groups"]
+    assert group["plant"] == "swimmer" and not found["claims"] and not found["failed_fish"]
+    bound_m_s, errors = group["floor_lsq_m_s"], group["median_m_s"]
+    assert 0 < bound_m_s < 0.02 and errors[6] < 1.5 * bound_m_s + 0.002
+    assert run(["sim", "montecarlo", "--summary", str(tmp_path / "out")]) == 0
+    assert "FAILS" not in capsys.readouterr().out
+
+
+def test_what_is_no_plant_is_refused(foreign: Path, tmp_path: Path) -> None:
+    batch = batch_of(str(foreign), [{"seed": 1.0}])
+    with pytest.raises(InputError, match="refuses a trial of 600 beats"):
+        batch.run(np.zeros((1, 600)), 1)
+    (tmp_path / "text.so").write_text("no")
+    with pytest.raises(InputError, match="is no plant"):
+        batch_of(str(tmp_path / "text.so"), [])
+    old = tmp_path / "old.c"
+    old.write_text(FOREIGN.replace("return TAILBEAT_PLANT_ABI", "return 99"))
+    include = Path(tailbeat.__file__).parent
+    library = tmp_path / "old.so"
+    command = ["cc", "-shared", "-fPIC", f"-I{include}", "-o", str(library), str(old)]
+    subprocess.run(command, check=True)
+    with pytest.raises(InputError, match="version 99"):
+        batch_of(str(library), [])
