@@ -67,7 +67,7 @@ soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 rand
 	@$(BIN)/pytest -n auto --dist worksteal -s -m soak tests/image tests/host tests/system
 	@for recipe in $$($(BIN)/tailbeat sim montecarlo --list --json | $(PYTHON) -c \
 		'import json, sys; print(*(r["name"] for r in json.load(sys.stdin)["recipes"]))'); do \
-		$(BIN)/tailbeat sim montecarlo $$recipe --out build/sweeps/$$recipe --check || exit 1; done
+		$(BIN)/tailbeat sim montecarlo $$recipe --out build/sweeps/$$recipe --pinned --check || exit 1; done
 	@FTP_MODEL_EXAMPLES=500 $(BIN)/pytest $(UNLIMITED) -s tests/host/link/test_ftp_model.py
 	@$(MAKE) fuzz
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import math
+import secrets
 import shutil
 import sys
 import textwrap
@@ -223,6 +225,7 @@ def montecarlo(
     out: Path | None = opt("Folder of the results; default: sweeps/RECIPE."),
     cores: int | None = opt("Processes; default: one per core.", min=1),
     seeds: int | None = opt("Fish of each kind; default: the recipe's.", min=1),
+    pinned: bool = opt("The recipe's own fish, for regressions; default: others each time."),
     scheduler: str | None = opt("Compute on a Dask cluster.", "tcp://HOST:PORT"),
     plant: Path | None = opt("Fish compiled elsewhere, instead of the recipe's.", "FILE.so"),
     plot: Path | None = opt("Draw the curves.", "PNG"),
@@ -250,6 +253,8 @@ def montecarlo(
         if plant is not None and scheduler is not None:
             raise typer.BadParameter("--plant is of this computer; leave out --scheduler")
         out = out or SWEEPS / chosen.name
+        if not pinned:
+            chosen = chosen.with_first_seed(StudyFolder(out).first_seed() or _fresh_seed())
         store, about = StudyFolder(out), _compute(chosen, out, cores, scheduler)
     found = summarise(chosen, store.read())
     if plot is not None:
@@ -257,6 +262,11 @@ def montecarlo(
         about["plot"] = plot
     status = int(bool(check and found.failed))
     return Output(_study_document(found) | about, lambda: _study_text(found, about), status)
+
+
+def _fresh_seed() -> int:
+    """Far from those that recipes pin; the fish of a study are those from it on."""
+    return 1_000_000 * (1 + secrets.randbelow(4000))
 
 
 def _compute(recipe: Recipe, out: Path, cores: int | None, scheduler: str | None) -> dict[str, Any]:
@@ -270,7 +280,12 @@ def _compute(recipe: Recipe, out: Path, cores: int | None, scheduler: str | None
         except Interrupted as stopped:
             warn(stopped)
             raise typer.Exit(130) from None
-    return {"out": out, "results": outcome.results, "computed_cells": outcome.computed}
+    return {
+        "out": out,
+        "results": outcome.results,
+        "computed_cells": outcome.computed,
+        "first_seed": recipe.first_seed,
+    }
 
 
 def _recipes() -> Output:
@@ -299,6 +314,7 @@ def _study_text(found: StudySummary, about: dict[str, Any]) -> str:
         _group_table(found.lines),
         found.claims and ["", *map(_claim_line, found.claims)],
         found.failures and ["", *_failed_fish(found.failures)],
+        "first_seed" in about and f"fish of the seeds from {about['first_seed']} on",
         f"results {about.get('results', about['out'])}",
         "plot" in about and f"plot {about['plot']}",
     )
@@ -344,4 +360,6 @@ def _cell(line: GroupSummary, i: int) -> str:
 def _claim_line(claim: ClaimResult) -> str:
     word = "holds" if claim.holds else "FAILS"
     where = f" ({claim.group})" if claim.group else ""
-    return f"{word}: {claim.text}: {claim.figure:.3g}, {claim.bound}{where}"
+    low, high = claim.interval
+    within = f" [{low:.3g}, {high:.3g}]" if math.isfinite(low) else ""
+    return f"{word}: {claim.text}: {claim.figure:.3g}{within}, {claim.bound}{where}"

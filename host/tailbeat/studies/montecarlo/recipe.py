@@ -207,6 +207,10 @@ class Recipe(_Learning, kw_only=True):
             raise InputError(f"{seeds} seeds are none.", "Give 1 or more.")
         return msgspec.structs.replace(self, seeds=seeds)
 
+    def with_first_seed(self, seed: int) -> Recipe:
+        """The same with other fish."""
+        return msgspec.structs.replace(self, first_seed=seed)
+
     def with_plant(self, path: Path) -> Recipe:
         """The same on a plant compiled elsewhere, without what is only of the simulator's. Raises
         InputError when it is none."""

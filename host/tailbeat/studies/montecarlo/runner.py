@@ -56,7 +56,10 @@ class StudyFolder:
 
     def open(self, recipe: Recipe) -> None:
         """Makes the folder, or makes sure that what lies there is of this very sweep."""
-        wanted = {"recipe": recipe.name, "recipe_crc": recipe.crc, **identity()}
+        seeds = str(recipe.first_seed)
+        wanted = {
+            "recipe": recipe.name, "first_seed": seeds, "recipe_crc": recipe.crc, **identity(),
+        }  # fmt: skip
         found = self.manifest()
         if found is None:
             if any((self.folder / PARTS).glob("*")) or self.results.exists():
@@ -81,6 +84,11 @@ class StudyFolder:
         path = self.folder / MANIFEST
         remedy = "Give another folder with --out, or delete that one."
         return read(path, dict[str, Any], remedy) if path.exists() else None
+
+    def first_seed(self) -> int | None:
+        """Of the study that is here; None when there is none."""
+        found = (self.manifest() or {}).get("first_seed")
+        return None if found is None else int(found)
 
     def recipe(self) -> Recipe:
         """What the results are of."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import cycle, product
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ _RANGES = (  # derived column, what is predicted, its 5 % and 95 %
     ("ratio_inside", "ratio", "ratio_low", "ratio_high"),
     ("prediction_inside", "max_abs_error_m_s", "predicted_low_m_s", "predicted_high_m_s"),
 )
+_RESAMPLES = 200
 _NEAR_M_S = 0.0005  # and a tenth of the bound: an input as near as that is at its bound
 _EARLIER = slice(4, 7)  # trials 5 to 7, by which a run has settled, and its last ones
 _LAST = slice(-3, None)
@@ -90,6 +91,18 @@ class Rows:
             mask &= np.array(chosen, dtype=bool)[self.columns[name]]
         return self.where(mask)
 
+    def of_fish(self, seeds: NDArray[Any]) -> Rows:
+        """The rows of fish in that order, some perhaps more than once, each as a fish of its own;
+        those of other fish are left out."""
+        order = np.argsort(self.columns["seed"], kind="stable")
+        there = self.columns["seed"][order]
+        begin, end = np.searchsorted(there, seeds), np.searchsorted(there, seeds, "right")
+        counts = end - begin
+        places = np.repeat(begin - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
+        chosen = order[places]
+        found = self.where(chosen)
+        return Rows({**found.columns, "seed": np.repeat(np.arange(len(seeds)), counts)}, self.texts)
+
     def groups(self) -> Iterator[tuple[Group, Rows]]:
         """In the order in which they come."""
         if not len(self):
@@ -137,11 +150,13 @@ class GroupSummary:
 
 @dataclass(frozen=True)
 class ClaimResult:
-    """How a claim came out. ``figure``: the worst group's, ``group`` says which."""
+    """How a claim came out. ``figure``: the worst group's, ``group`` says which; ``interval``: 95 %
+    of it, had other fish been drawn."""
 
     text: str
     holds: bool
     figure: float
+    interval: tuple[float, float]
     bound: str
     group: str
     figures: dict[str, float]
@@ -224,19 +239,45 @@ def judge(claim: ClaimSpec, rows: Rows) -> ClaimResult:
     rows = Rows({name: rows.columns[name] for name in sorted(needed)}, rows.texts)
     chosen = rows.select(claim.where)
     groups = [(("all",), chosen)] if claim.pool else list(chosen.groups())
-    figures: dict[str, float] = {}
+    found: dict[str, tuple[float, Rows, Rows | None]] = {}
     for key, group in groups:
-        if claim.statistic in BY_REPEATS:
-            figure = _by_repeats(claim, group, _counterpart(claim, key, rows))
-        else:
-            figure = _figure(claim, group)
-            if claim.against:
-                figure /= _figure(claim, _counterpart(claim, key, rows), against=True)
-        figures[" / ".join(word for word in key if word)] = figure
-    return _verdict(claim, figures)
+        other = _counterpart(claim, key, rows) if claim.against else None
+        name = " / ".join(word for word in key if word)
+        found[name] = (_compared(claim, group, other), group, other)
+    figures = {name: figure for name, (figure, _, _) in found.items()}
+    result = _verdict(claim, figures)
+    if not np.isfinite(result.figure):
+        return result
+    _, group, other = found[result.group]
+    return replace(result, interval=_interval(claim, group, other))
+
+
+def _compared(claim: ClaimSpec, group: Rows, other: Rows | None) -> float:
+    if claim.statistic in BY_REPEATS:
+        assert other is not None  # the recipe was checked
+        return _by_repeats(claim, group, other)
+    figure = _figure(claim, group)
+    return figure if other is None else figure / _figure(claim, other, against=True)
+
+
+def _interval(claim: ClaimSpec, group: Rows, other: Rows | None) -> tuple[float, float]:
+    """95 % of a figure over fish that are drawn anew from those there are; the same ones every
+    time. Where both are of the same fish, they stay together."""
+    rng = np.random.default_rng(1)
+    seeds = np.unique(group.columns["seed"])
+    figures = []
+    for _ in range(_RESAMPLES):
+        drawn = rng.choice(seeds, len(seeds))
+        figures.append(_compared(claim, group.of_fish(drawn), other and other.of_fish(drawn)))
+    known = np.array(figures)[np.isfinite(figures)]
+    if not known.size:
+        return float("nan"), float("nan")
+    low, high = np.percentile(known, (2.5, 97.5))
+    return float(low), float(high)
 
 
 def _verdict(claim: ClaimSpec, figures: dict[str, float]) -> ClaimResult:
+    unknown = float("nan"), float("nan")
     low = -np.inf if claim.at_least is None else claim.at_least
     high = np.inf if claim.at_most is None else claim.at_most
     limits = (("at least", claim.at_least), ("at most", claim.at_most))
@@ -244,10 +285,10 @@ def _verdict(claim: ClaimSpec, figures: dict[str, float]) -> ClaimResult:
     known = {key: value for key, value in figures.items() if np.isfinite(value)}
     if not known or len(known) < len(figures):
         missing = next((key for key in figures if key not in known), "no rows")
-        return ClaimResult(claim.text, False, float("nan"), bound, missing, figures)
+        return ClaimResult(claim.text, False, float("nan"), unknown, bound, missing, figures)
     worst = max(known, key=lambda key: max(known[key] - high, low - known[key]))
     holds = low <= known[worst] <= high
-    return ClaimResult(claim.text, bool(holds), known[worst], bound, worst, figures)
+    return ClaimResult(claim.text, bool(holds), known[worst], unknown, bound, worst, figures)
 
 
 def _counterpart(claim: ClaimSpec, key: Group, rows: Rows) -> Rows:

@@ -30,10 +30,10 @@ from tailbeat.studies.montecarlo import cell as cell_module
 from tailbeat.studies.montecarlo import learners, runner
 from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.cell import Cell, cells, run_cell
-from tailbeat.studies.montecarlo.recipe import Recipe, load, parse
+from tailbeat.studies.montecarlo.recipe import ClaimSpec, Recipe, load, parse
 from tailbeat.studies.montecarlo.results import identity
 from tailbeat.studies.montecarlo.runner import Interrupted, StudyFolder, compute, run_study
-from tailbeat.studies.montecarlo.summary import summarise
+from tailbeat.studies.montecarlo.summary import GROUP, Rows, judge, summarise
 
 CLAIM = """
 [[claim]]
@@ -531,13 +531,52 @@ def test_a_recipe_that_is_not_there() -> None:
         load("nowhere")
 
 
+def test_fish_are_others_each_time_and_the_same_in_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(runner, "_computed_here", _in_this_process)
+    drawn = iter((2, 3, 5))
+    monkeypatch.setattr("secrets.randbelow", lambda _: next(drawn))
+    recipe = tmp_path / "tiny.toml"
+    recipe.write_text(TINY)
+    first = []
+    for folder in ("one", "one", "two"):
+        command = ["sim", "montecarlo", str(recipe), "--out", str(tmp_path / folder)]
+        assert run([*command, "--seeds", "1", "--json"]) == 0
+        document = json.loads(capsys.readouterr().out)
+        first.append(document["first_seed"])
+        seeds = pq.read_table(tmp_path / folder / "results.parquet")["seed"].to_pylist()
+        assert set(seeds) == {first[-1]}
+    assert first[0] == first[1] != first[2] and min(first) >= 1_000_000
+
+
+def test_an_interval_is_that_of_other_fish() -> None:
+    """Of the median of 40 normal values: a fish more or less in the middle; shares likewise. A
+    counterpart of the same fish goes with them."""
+    rng = np.random.default_rng(5)
+    count = 40
+    names = {name: np.zeros(2 * count, dtype=int) for name in GROUP}
+    values = np.tile(rng.normal(10, 1, count), 2) * np.repeat([1.0, 1.0 / 3], count)
+    columns = names | {
+        "law": np.repeat([0, 1], count), "seed": np.tile(np.arange(count) + 7, 2),
+        "iteration": np.ones(2 * count, dtype=int), "true_max_abs_error_m_s": values,
+    }  # fmt: skip
+    rows = Rows(columns, {name: ["a"] for name in GROUP} | {"law": ["a", "b"]})
+    median = judge(ClaimSpec(text="", statistic="median", where={"law": "a"}, at_most=11), rows)
+    low, high = median.interval
+    assert low < median.figure < high and 0.3 < high - low < 1.3
+    against = ClaimSpec(text="", statistic="median", where={"law": "a"}, against={"law": "b"},
+                        at_most=4)  # fmt: skip
+    assert judge(against, rows).interval == pytest.approx((3, 3))
+
+
 def test_the_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(runner, "_computed_here", _in_this_process)
     recipe, out, plot = tmp_path / "tiny.toml", tmp_path / "out", tmp_path / "tiny.png"
     recipe.write_text(TINY)
-    command = ["sim", "montecarlo", str(recipe), "--out", str(out), "--seeds", "2"]
+    command = ["sim", "montecarlo", str(recipe), "--out", str(out), "--seeds", "2", "--pinned"]
     assert run([*command, "--json", "--plot", str(plot)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["computed_cells"] == 4
@@ -588,7 +627,8 @@ def test_ctrl_c_stops_it_quietly(tmp_path: Path) -> None:
         "    os.killpg(0, signal.SIGINT)\n"
         "runner.StudyFolder.put = once\n"
         "if __name__ == '__main__':\n"
-        "    sys.exit(run(['sweep', sys.argv[1], '--out', sys.argv[2], '--cores', '2']))\n"
+        "    out = ['--out', sys.argv[2], '--cores', '2', '--pinned']\n"
+        "    sys.exit(run(['sweep', sys.argv[1], *out]))\n"
     )
     script = tmp_path / "script.py"
     script.write_text(code)

@@ -145,7 +145,16 @@ def test_a_plant_compiled_elsewhere_learns(
     foreign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By the command that a user types; the fish is no fish of ours."""
-    arguments = ["sim", "montecarlo", "populations", "--plant", str(foreign), "--seeds", "2"]
+    arguments = [
+        "sim",
+        "montecarlo",
+        "populations",
+        "--plant",
+        str(foreign),
+        "--seeds",
+        "2",
+        "--pinned",
+    ]
     assert run([*arguments, "--out", str(tmp_path / "out"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     (group,) = found["groups"]
