@@ -88,7 +88,8 @@ bench: package firmware bench_programs ## speed of the simulation, load of the f
 
 bench_programs: bootstrap
 	@$(CONFIGURE) -B build/bench -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF >/dev/null
-	@$(STEP) "building the benchmarks" cmake --build build/bench --target tailbeat_bench imu_reader_cost
+	@$(STEP) "building the benchmarks" cmake --build build/bench --target tailbeat_bench imu_reader_cost \
+		imu_coverage
 
 firmware: package ## the image that is flashed to the fish: build/firmware/tailbeat.bin
 	@tools/bootstrap firmware

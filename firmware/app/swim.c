@@ -193,10 +193,7 @@ static fault_t prepare_store(app_t *app) {
     return save_first_guess(app);
 }
 
-float swim_still_s(const app_t *app) {
-    rest_mean_t rest;
-    return rest_get(&app->rest, &rest) ? rest.still_s : 0.0f;
-}
+float swim_still_s(const app_t *app) { return app->rest.still_s; }
 
 /* What the speed source asks of the IMU and of the hand that holds the fish. */
 static fault_t ready_to_measure(const app_t *app) {

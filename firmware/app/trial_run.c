@@ -52,6 +52,7 @@ static void begin_estimate(trial_run_t *run, const trial_run_imu_t *imu) {
     const estimate_rest_t before = {
         .begin_s = still ? -imu->rest.still_s : 0.0f,
         .still_s = still ? imu->rest.still_s : 0.0f,
+        .tilt_sigma_rad = still ? imu->rest.tilt_sigma_rad : 0.0f,
     };
     if (imu->alive) {
         motion_begin(&run->motion, still ? &imu->rest : NULL, &imu->last);
@@ -196,6 +197,7 @@ estimate_rest_t trial_run_rest_after(const trial_run_t *run, uint16_t executed, 
     return (estimate_rest_t){
         .begin_s = begin_s,
         .still_s = still_s > 0.0f && closed_s > begin_s ? closed_s - begin_s : 0.0f,
+        .tilt_sigma_rad = motion_tilt_sigma(&run->motion),
     };
 }
 

@@ -15,6 +15,8 @@
 /* Random walk of the acceleration's error: gyroscopes 0.0035 deg/s per root Hz, one-sided, times g
  * = 4.2e-4; random walk of the accelerometers' bias, measured 0.16 mg at 100 s = 2.7e-4. */
 #define TILT_WALK_M_S25 5.0e-4f
+/* A drift that comes with the tail beats, as the walk that strays as far within the swim. */
+#define SCALE_LASTS_S 16.0f
 /* After a rest of 5 s: what averaging leaves of this noise, and bias instability, measured 0.06 mg
  * and 5 deg/h. A longer rest is little better. */
 #define ERROR_AFTER_REST_M_S2 7.6e-4f
@@ -54,14 +56,24 @@ static void imu_needs(estimate_t *estimate, bool fulfilled) {
     }
 }
 
+static float error_after(const estimate_rest_t *before) {
+    const float tilt_m_s2 = G_M_S2 * before->tilt_sigma_rad;
+    if (!(tilt_m_s2 > 0.0f)) {
+        return ERROR_AFTER_REST_M_S2;
+    }
+    return real_sqrt(ERROR_AFTER_REST_M_S2 * ERROR_AFTER_REST_M_S2 + tilt_m_s2 * tilt_m_s2);
+}
+
 /* A camera sees for itself how fast the fish was when it started, and needs no rest for that; nor
  * does a trial that no camera saw get speeds from its rest. */
-static smoother_config_t smoother_config(const estimate_t *estimate, bool rested) {
+static smoother_config_t smoother_config(const estimate_t *estimate,
+                                         const estimate_rest_t *before) {
+    const bool rested = counts(estimate, before);
     const bool sees = is(estimate, SPEED_SAMPLED);
     return (smoother_config_t){
         .beat_s = estimate->config.beat_s,
         .start_sigma_m_s = rested && !sees ? estimate->config.rest_sigma_m_s : START_UNKNOWN_M_S,
-        .error_sigma_m_s2 = rested ? ERROR_AFTER_REST_M_S2 : TILT_UNKNOWN_M_S2,
+        .error_sigma_m_s2 = rested ? error_after(before) : TILT_UNKNOWN_M_S2,
         .drift_sigma_m_s3 = rested ? DRIFT_AFTER_REST_M_S3 : DRIFT_UNKNOWN_M_S3,
         .model_sigma = estimate->config.model_sigma,
         .accel_noise_m_s15 = ACCEL_NOISE_M_S15,
@@ -81,7 +93,7 @@ void estimate_begin(estimate_t *estimate, const estimate_config_t *config,
     estimate->swum = config->beats;
     thrust_init(&estimate->thrust, &config->thrust, config->beat_s);
     const bool rested = counts(estimate, before);
-    const smoother_config_t smoother = smoother_config(estimate, rested);
+    const smoother_config_t smoother = smoother_config(estimate, before);
     imu_needs(estimate, rested);
     smoother_init(&estimate->smoother, &smoother);
     for (uint16_t k = 0; k < BEATS_MAX && is(estimate, SPEED_ESTIMATED); k++) {
@@ -202,6 +214,20 @@ speed_beat_t estimate_beat(estimate_t *estimate, const speed_t *speed, float app
     return judged(estimate, step, speed_m_s, sigma_m_s);
 }
 
+/* The IMU alone: what scale errors may have done goes on for beats on end. Whether the smoother has
+ * to start again. */
+static bool widen(estimate_t *estimate) {
+    const float swum_s = (float)estimate->swum * estimate->config.beat_s;
+    if (!is(estimate, SPEED_NEEDS_RESTS) || estimate->swum == 0 ||
+        !(estimate->after.tilt_sigma_rad > 0.0f)) {
+        return false;
+    }
+    const float walk = G_M_S2 * estimate->after.tilt_sigma_rad / swum_s;
+    estimate->smoother.config.tilt_walk_m_s25 =
+        real_sqrt(TILT_WALK_M_S25 * TILT_WALK_M_S25 + walk * walk * SCALE_LASTS_S);
+    return true;
+}
+
 void estimate_after(estimate_t *estimate, uint16_t swum, const estimate_rest_t *after) {
     estimate->swum = swum < estimate->next ? swum : estimate->next;
     if (estimate->swum > estimate->config.beats) {
@@ -209,7 +235,8 @@ void estimate_after(estimate_t *estimate, uint16_t swum, const estimate_rest_t *
     }
     estimate->after = *after;
     imu_needs(estimate, estimate->next > 0 && rests(estimate, (uint16_t)(estimate->next - 1u)));
-    smoother_rewind(&estimate->smoother, is(estimate, SPEED_SAMPLED) ? 0 : estimate->swum);
+    const bool again = is(estimate, SPEED_SAMPLED) || widen(estimate);
+    smoother_rewind(&estimate->smoother, again ? 0 : estimate->swum);
 }
 
 static void keep_result(void *context, uint16_t step, float speed_m_s, float sigma_m_s) {

@@ -39,6 +39,9 @@ typedef struct {
  * beats taken by estimate_beat(); the fish may still coast in the first. */
 typedef struct {
     float begin_s, still_s;
+    /* Tilt that a sensor's own noise does not explain: what a trembling hand left unknown in the
+     * rest before the swim; after it, what scale errors may have made of the swim's turns. */
+    float tilt_sigma_rad;
 } estimate_rest_t;
 
 typedef struct {

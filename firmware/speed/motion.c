@@ -16,6 +16,9 @@
 #define TURN_STEPS_PER_RAD 1e4f
 #define TURN_STEPS_MAX 32767.0f
 
+/* Relative, each axis its own: of a bad unit. */
+#define RATE_SCALE_SIGMA 1e-3f
+
 /* Means over a frame, in the level frame. */
 typedef struct {
     float accel_m_s2[3], nose[3], yaw_rad_s;
@@ -186,6 +189,21 @@ static void mean_force(const float felt[FELT], const float change[FELT], const f
     add(force, 1.0f, felt + FORCE);
 }
 
+/* By how much each axis' turn raises or lowers the nose: the level frame's second row. */
+static void cone(motion_t *motion, const float angle[3]) {
+    const float *q = motion->q;
+    const float row[3] = {2.0f * (q[1] * q[2] + q[0] * q[3]),
+                          1.0f - 2.0f * (q[1] * q[1] + q[3] * q[3]),
+                          2.0f * (q[2] * q[3] - q[0] * q[1])};
+    for (uint32_t i = 0; i < 3u; i++) {
+        motion->coned_rad[i] += row[i] * angle[i];
+    }
+}
+
+float motion_tilt_sigma(const motion_t *motion) {
+    return RATE_SCALE_SIGMA * real_sqrt(dot(motion->coned_rad, motion->coned_rad));
+}
+
 /* One frame, or what stands for missing ones. The turn has a term for a rate whose direction
  * changes (coning): without it the attitude would tilt by 3e-5 rad/s, 0.2 m/s in 40 s. */
 static void step(motion_t *motion, const float felt[FELT], float time_s, float dt_s) {
@@ -202,6 +220,7 @@ static void step(motion_t *motion, const float felt[FELT], float time_s, float d
     levelled.yaw_rad_s = yaw_rate(motion->q, felt, levelled.nose[2]);
     sum_up(motion, &levelled, time_s, dt_s);
     cross(angle, change, coning);
+    cone(motion, angle);
     add(angle, TWELFTH * dt_s, coning);
     turn(motion, angle);
 }

@@ -40,6 +40,7 @@ typedef struct {
     float first_nose[3]; /* unit vector along the nose at the start, level frame */
     float last[6];       /* of the frame before: angular rate less bias, specific force */
     float period_s;      /* of the frames */
+    float coned_rad[3];  /* pitch that would come of a scale error of 1, each gyroscope's */
     float until_s;       /* motion is summed up to here, from the start */
     uint16_t index;      /* of the slot of that time, at most */
     float turn_rad;      /* of the last slot, unrounded */
@@ -64,6 +65,10 @@ void motion_push(motion_t *motion, const imu_frame_t *frame, float time_s, float
  * later slots are in: earlier, the swing does not average out. */
 bool motion_forward(const motion_t *motion, uint16_t index, float beat_s, float *gain_m_s,
                     float *way_m);
+
+/* How far off the tilt may be at the end of the swim because no gyroscope's scale is exact: a fish
+ * that rolls out of step with its yaw turns that into tilt, beat by beat. */
+float motion_tilt_sigma(const motion_t *motion);
 
 /* How far the nose's heading turned in slot |index|, in 1e-4 rad, clockwise from above.
  * SPEED_NO_MOTION where frames do not cover it whole, where it is not in the ring, and beyond 3.27

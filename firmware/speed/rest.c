@@ -1,9 +1,12 @@
 #include "speed/rest.h"
 
+#include "base/real.h"
+
 #include <string.h>
 
 #define DT_MAX_S 0.1f
-#define RATE 3u /* acceleration comes first */
+#define RATE 3u        /* acceleration comes first */
+#define LINE_BLOCKS 4u /* of fewer, nobody knows how well they keep to a line */
 
 /* Standard deviation within a block, all axes together. A fish held by hand trembles by some
  * 1 deg/s and 0.05 m/s^2 per axis, 0.030 rad/s and 0.087 m/s^2 together; the limits are 2.3 times
@@ -73,11 +76,14 @@ static void end_block(rest_t *rest) {
         rest->filled++;
     }
     memcpy(rest->blocks[rest->next], block, sizeof block);
+    for (uint32_t c = 0; c < RATE; c++) {
+        rest->angles_rad[rest->next][c] = rest->angle_sum_rad[c] / (float)rest->frames;
+    }
     rest->next = (uint16_t)((rest->next + 1u) % REST_BLOCKS);
     rest->still_s += REST_BLOCK_S;
 }
 
-static void add_frame(rest_t *rest, const imu_frame_t *frame) {
+static void add_frame(rest_t *rest, const imu_frame_t *frame, float dt_s) {
     float values[REST_CHANNELS];
     memcpy(values, frame->accel_m_s2, sizeof frame->accel_m_s2);
     memcpy(values + RATE, frame->rate_rad_s, sizeof frame->rate_rad_s);
@@ -85,11 +91,18 @@ static void add_frame(rest_t *rest, const imu_frame_t *frame) {
         memcpy(rest->first, values, sizeof values);
         memset(rest->sum, 0, sizeof rest->sum);
         memset(rest->squares, 0, sizeof rest->squares);
+        memset(rest->angle_rad, 0, sizeof rest->angle_rad);
+        memset(rest->angle_sum_rad, 0, sizeof rest->angle_sum_rad);
     }
     for (uint32_t c = 0; c < REST_CHANNELS; c++) {
         const float beyond = values[c] - rest->first[c];
         rest->sum[c] += beyond;
         rest->squares[c / RATE] += beyond * beyond;
+    }
+    for (uint32_t c = 0; c < RATE; c++) {
+        const float turn_rad = dt_s * frame->rate_rad_s[c];
+        rest->angle_sum_rad[c] += rest->angle_rad[c] + 0.5f * turn_rad;
+        rest->angle_rad[c] += turn_rad;
     }
     rest->frames++;
 }
@@ -99,7 +112,7 @@ void rest_push(rest_t *rest, const imu_frame_t *frame, float dt_s) {
         rest_init(rest);
         return;
     }
-    add_frame(rest, frame);
+    add_frame(rest, frame, dt_s);
     rest->time_s += dt_s;
     if (rest->time_s + 0.5f * dt_s >= REST_BLOCK_S) {
         end_block(rest);
@@ -108,8 +121,78 @@ void rest_push(rest_t *rest, const imu_frame_t *frame, float dt_s) {
     }
 }
 
+/* A straight line through numbers that come one by one. */
+typedef struct {
+    float sum, moment, squares;
+} line_t;
+
+static void add_to_line(line_t *line, float x, float y) {
+    line->sum += y;
+    line->moment += x * y;
+    line->squares += y * y;
+}
+
+/* |n| numbers, x one apart and 0 in the middle. The variance is that of the slope, by what the line
+ * leaves over. */
+static float slope_of(const line_t *line, float n, float *variance) {
+    const float spread = n * (n * n - 1.0f) / 12.0f;
+    const float slope = line->moment / spread;
+    const float left = line->squares - line->sum * line->sum / n - slope * line->moment;
+    *variance = (left > 0.0f ? left : 0.0f) / ((n - 2.0f) * spread) + 1e-16f;
+    return slope;
+}
+
+/* The gyroscope's bias, its variance in |*variance|: how fast the angle grows, by the gyroscope
+ * alone and beside the accelerometers' |tilt|, each by how well it keeps to its line. The mean of
+ * the rates would take a hand's tremble for a drift. |*beyond_rad|: from the mean angle to that of
+ * now. */
+static float follow_angle(const rest_t *rest, uint32_t channel, const float tilt[REST_BLOCKS],
+                          float *beyond_rad, float *variance) {
+    const uint32_t oldest = rest->next + REST_BLOCKS - rest->filled;
+    const float n = (float)rest->filled;
+    line_t alone = {0}, beside = {0};
+    const float first = rest->blocks[0][RATE + channel];
+    const float mean = first + sum_beyond(rest, RATE + channel, first) / n;
+    float begin = 0.0f; /* angles count from what the mean rate turns: that keeps the digits */
+    for (uint32_t i = 0; i < rest->filled; i++) {
+        const uint32_t at = (oldest + i) % REST_BLOCKS;
+        const float x = (float)i - 0.5f * (n - 1.0f);
+        const float angle = begin + (rest->angles_rad[at][channel] - 0.5f * REST_BLOCK_S * mean);
+        add_to_line(&alone, x, angle);
+        add_to_line(&beside, x, angle - tilt[at]);
+        begin += REST_BLOCK_S * (rest->blocks[at][RATE + channel] - mean);
+    }
+    float beyond = 0.0f; /* of the bias, the mean */
+    *variance = 0.0f;
+    if (rest->filled >= LINE_BLOCKS) {
+        float v_alone, v_beside;
+        const float b_alone = slope_of(&alone, n, &v_alone);
+        const float b_beside = slope_of(&beside, n, &v_beside);
+        const float part = v_beside / (v_alone + v_beside);
+        beyond = (b_beside + part * (b_alone - b_beside)) / REST_BLOCK_S;
+        *variance = part * v_alone / (REST_BLOCK_S * REST_BLOCK_S);
+    }
+    const bool open = rest->frames > 0;
+    const float open_s = open ? rest->time_s : 0.0f;
+    const float turned = open ? rest->angle_rad[channel] - mean * open_s : 0.0f;
+    *beyond_rad = begin + turned - alone.sum / n - beyond * (0.5f * n * REST_BLOCK_S + open_s);
+    return mean + beyond;
+}
+
+/* About axis |c|, from where the mean acceleration stands. */
+static void tilts(const rest_t *rest, const float accel[3], uint32_t c, float tilt[REST_BLOCKS]) {
+    const uint32_t j = (c + 1u) % RATE;
+    const uint32_t k = (c + 2u) % RATE;
+    const float square = accel[0] * accel[0] + accel[1] * accel[1] + accel[2] * accel[2];
+    for (uint32_t i = 0; i < rest->filled; i++) {
+        const float *block = rest->blocks[i];
+        tilt[i] = square > 1.0f ? (block[j] * accel[k] - block[k] * accel[j]) / square : 0.0f;
+    }
+}
+
 bool rest_get(const rest_t *rest, rest_mean_t *mean) {
     const float kept = (float)rest->filled;
+    float accel[3], turn[3], variance[3], tilt[REST_BLOCKS];
     if (rest->filled == 0) {
         return false;
     }
@@ -117,8 +200,15 @@ bool rest_get(const rest_t *rest, rest_mean_t *mean) {
     mean->mean_s = REST_BLOCK_S * kept;
     for (uint32_t c = 0; c < RATE; c++) {
         const float *block = rest->blocks[0];
-        mean->accel_m_s2[c] = block[c] + sum_beyond(rest, c, block[c]) / kept;
-        mean->rate_rad_s[c] = block[RATE + c] + sum_beyond(rest, RATE + c, block[RATE + c]) / kept;
+        accel[c] = block[c] + sum_beyond(rest, c, block[c]) / kept;
     }
+    for (uint32_t c = 0; c < RATE; c++) {
+        tilts(rest, accel, c, tilt);
+        mean->rate_rad_s[c] = follow_angle(rest, c, tilt, &turn[c], &variance[c]);
+    }
+    for (uint32_t i = 0, j = 1, k = 2; i < RATE; j = k, k = i++) {
+        mean->accel_m_s2[i] = accel[i] - (turn[j] * accel[k] - turn[k] * accel[j]);
+    }
+    mean->tilt_sigma_rad = 0.5f * mean->mean_s * real_sqrt(variance[1]);
     return true;
 }

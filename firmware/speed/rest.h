@@ -16,12 +16,16 @@
 #define REST_BLOCK_S 0.5f
 #define REST_BLOCKS 20u /* the mean is over the last 10 s of stillness at most */
 
-/* Means over the last still blocks. */
+/* Over the last still blocks: the acceleration of the body as it stands now, after the newest
+ * frame, and what the gyroscopes say when it does not turn. A hand that trembles is neither tilt
+ * nor drift: the gyroscopes follow it. */
 typedef struct {
     float still_s; /* how long it has been still without a break; may exceed the averaged time */
     float mean_s;  /* averaged time */
     float accel_m_s2[3];
     float rate_rad_s[3];
+    float
+        tilt_sigma_rad; /* of the nose's pitch, by how well the gyroscope's angle kept to a line */
 } rest_mean_t;
 
 /* Acceleration and angular rate, side by side. */
@@ -33,6 +37,9 @@ typedef struct {
     float first[REST_CHANNELS]; /* frame of the block; sums count from it */
     float sum[REST_CHANNELS];
     float squares[2];                         /* of the whole acceleration, of the whole rate */
+    float angle_rad[3];                       /* turned since the block's begin */
+    float angle_sum_rad[3];                   /* ... summed over the frames' middles */
+    float angles_rad[REST_BLOCKS][3];         /* ring of its means */
     float blocks[REST_BLOCKS][REST_CHANNELS]; /* ring of the means of still blocks */
     uint16_t next, filled;
     float still_s;

@@ -34,14 +34,14 @@ static const char *const formats[ID_COUNT] = {
                 "uint16_t samples;",
     [ID_BATTERY] = "battery:uint64_t timestamp;float voltage_v;",
     [ID_TRIAL_END] = "trial_end:uint64_t timestamp;uint16_t end;uint16_t executed;",
-    [ID_REST] = "rest:uint64_t timestamp;float begin_s;float still_s;"};
+    [ID_REST] = "rest:uint64_t timestamp;float begin_s;float still_s;float tilt_sigma_rad;"};
 
 /* Field bytes after the timestamp, and what a whole data message adds to them. */
 #define SLOT_BYTES 16u
 #define BEAT_BYTES 24u
 #define BATTERY_BYTES 4u
 #define TRIAL_END_BYTES 4u
-#define REST_BYTES 8u
+#define REST_BYTES 12u
 #define RESTS 2u
 #define DATA_OVERHEAD_BYTES (ULOG_HEADER_BYTES + 2u + 8u)
 #define TEXT_OVERHEAD_BYTES (ULOG_HEADER_BYTES + 1u + 8u)
@@ -296,7 +296,8 @@ void trial_log_rest(trial_log_t *log, uint64_t time_us, const estimate_rest_t *r
         return;
     }
     uint8_t fields[REST_BYTES];
-    (void)bytes_put_f32(bytes_put_f32(fields, rest->begin_s), rest->still_s);
+    uint8_t *at = bytes_put_f32(bytes_put_f32(fields, rest->begin_s), rest->still_s);
+    (void)bytes_put_f32(at, rest->tilt_sigma_rad);
     put_data(log, ID_REST, time_us, fields, sizeof fields);
 }
 

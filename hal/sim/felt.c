@@ -40,7 +40,8 @@ static void follow(felt_t *felt, felt_frame_t *frame, const plant_t *plant, doub
 }
 
 void felt_init(felt_t *felt, const sim_config_t *config) {
-    felt->roll_per_tail = config->roll_per_tail;
+    felt->roll_per_tail = config->roll_per_tail * cos(config->roll_lag_rad);
+    felt->roll_s = -config->roll_per_tail * sin(config->roll_lag_rad) * config->beat_s / TWO_PI;
     felt->cone_s = config->cone_per_tail * config->beat_s / TWO_PI;
     felt->tremor_rad = config->tremor_rad;
     felt->tremor_key = noise_key(config->seed, NOISE_TREMOR, 0);
@@ -141,7 +142,7 @@ static felt_moment_t moment(const felt_t *felt, const felt_frame_t *frame, doubl
         .yaw_rad = heading + frame->yaw_per_tail * tail + hand[0],
         .pitch_rad = PITCH_PER_TAIL2 * tail * tail + felt->cone_s * rate + hand[1],
         .roll_rad = frame->tilt_rad[0] + u * (frame->tilt_rad[1] - frame->tilt_rad[0]) +
-                    felt->roll_per_tail * tail + hand[2],
+                    felt->roll_per_tail * tail + felt->roll_s * rate + hand[2],
     };
 }
 

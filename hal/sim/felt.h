@@ -25,7 +25,7 @@ typedef struct {
 } felt_frame_t;
 
 typedef struct {
-    double roll_per_tail, cone_s; /* the latter: pitch per rate of the tail */
+    double roll_per_tail, roll_s, cone_s; /* the latter two: roll and pitch per rate of the tail */
     uint64_t tremor_key;
     double tremor_rad; /* of the hand that holds it; 0 = none */
     double held;       /* 1 = by a hand, 0 = free */

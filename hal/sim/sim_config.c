@@ -80,9 +80,10 @@ static bool imu_valid(const sim_config_t *c) {
     return within(c->imu_noise, 0, 1e3) && within(c->imu_bias_mg, 0, 1e3) &&
            within(c->imu_accel_scale, 0, 0.1) && within(c->imu_rate_scale, 0, 0.1) &&
            within(c->imu_misaligned_rad, 0, 0.1) && within(c->roll_per_tail, -1, 1) &&
-           within(c->cone_per_tail, -1, 1) && within(c->tremor_rad, 0, 0.1) && firmware &&
-           (c->imu_port == 1 || c->imu_port == 2) && vn100_baud_valid(c->imu_baud) &&
-           within(c->imu_bit_errors, 0, 1) && within(c->imu_lost_bytes, 0, 1);
+           within(c->roll_lag_rad, -4, 4) && within(c->cone_per_tail, -1, 1) &&
+           within(c->tremor_rad, 0, 0.1) && firmware && (c->imu_port == 1 || c->imu_port == 2) &&
+           vn100_baud_valid(c->imu_baud) && within(c->imu_bit_errors, 0, 1) &&
+           within(c->imu_lost_bytes, 0, 1);
 }
 
 /* A link of 0 bytes per second is not limited. */

@@ -58,6 +58,7 @@ typedef struct {
     double imu_accel_scale, imu_rate_scale; /* standard deviation of the axes' scale errors */
     double imu_misaligned_rad;              /* ... of their directions */
     double roll_per_tail;                   /* how far the fish rolls with its tail, rad per rad */
+    double roll_lag_rad;                    /* ... behind it, in phase */
     double cone_per_tail;                   /* ... and pitches a quarter beat before */
     double tremor_rad;                      /* of the hand that holds it between trials */
     double imu_firmware;                    /* its major version: 2, 3; 0 = there is no IMU */

@@ -113,8 +113,7 @@ def _slots(trial: Trial) -> list[dict[str, Any]]:
 
 
 def _rest(rest: Rest | None) -> Any:
-    begin_s, still_s = (rest.begin_s, rest.still_s) if rest is not None else (0.0, 0.0)
-    return ffi.new("estimate_rest_t *", {"begin_s": begin_s, "still_s": still_s})
+    return ffi.new("estimate_rest_t *", vars(rest) if rest is not None else {})
 
 
 def _trusted_beats(trial: Trial, recorded: int) -> int:

@@ -92,10 +92,14 @@ class Slots:
 
 @dataclass(frozen=True)
 class Rest:
-    """The fish was still, by its IMU; time from the start of the trial."""
+    """The fish was still, by its IMU; time from the start of the trial.
+
+    ``tilt_sigma_rad``: pitch left unknown beyond the sensor's noise (firmware/speed/estimate.h).
+    """
 
     begin_s: float
     still_s: float
+    tilt_sigma_rad: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -351,9 +355,11 @@ def _slots(table: dict[str, Any] | None) -> Slots:
 def _rests(table: dict[str, Any] | None) -> list[Rest]:
     if not table:
         return []
+    # older files have no tilt sigma
+    tilts = table.get("tilt_sigma_rad", [0.0] * len(table["begin_s"]))
     return [
-        Rest(float(begin), float(still))
-        for begin, still in zip(table["begin_s"], table["still_s"], strict=True)
+        Rest(float(begin), float(still), float(tilt))
+        for begin, still, tilt in zip(table["begin_s"], table["still_s"], tilts, strict=True)
     ]
 
 
