@@ -24,6 +24,7 @@
 #define COAST_FRAMES 30u
 #define CAUGHT_FRAMES 550u
 #define LATE_S 1.5f
+#define HELD_S 60 /* beyond the end */
 #define DEG (3.14159265358979323846 / 180)
 #define TAIL_RAD 0.55 /* of the cruising beats */
 
@@ -166,11 +167,12 @@ static void frames(unsigned count, uint16_t pulse_ticks) {
     }
 }
 
-static void power_on(uint64_t seed, const level_t *level) {
+static void power_on(uint64_t seed, sim_plant_t plant, const level_t *level) {
     sim_config_t config;
-    sim_config_default(&config, SIM_PLANT_TANK);
+    sim_config_default(&config, plant);
     config.seed = seed;
     config.caught_after_s = 1.5;
+    config.placed_after_s = HELD_S;
     config.imu_port = 2;
     config.imu_baud = 115200;
     config.imu_noise = noise_count > 0 ? 0 : config.imu_noise;
@@ -258,9 +260,9 @@ static void end(swim_t *swim) {
     }
 }
 
-static void swim_once(swim_t *swim, uint64_t seed, const level_t *level) {
+static void swim_once(swim_t *swim, uint64_t seed, sim_plant_t plant, const level_t *level) {
     set_amplitudes();
-    power_on(seed, level);
+    power_on(seed, plant, level);
     begin();
     swim_tail();
     frames(CAUGHT_FRAMES, 0);

@@ -15,7 +15,8 @@ static void check(const level_t *level) {
     unsigned within = 0, measured = 0;
     double squares = 0, variance = 0;
     for (uint64_t seed = FIRST_SEED; seed < FIRST_SEED + SWIMS; seed++) {
-        swim_once(&swim, seed, level);
+        /* both plants in turn */
+        swim_once(&swim, seed, seed % 2u ? SIM_PLANT_REACTIVE : SIM_PLANT_TANK, level);
         for (unsigned k = 0; k < BEATS; k++) {
             if (!swim.beat[k].measured) {
                 continue;
