@@ -47,8 +47,8 @@ static const char *const formats[ID_COUNT] = {
 #define TEXT_OVERHEAD_BYTES (ULOG_HEADER_BYTES + 1u + 8u)
 #define SLOTS_PER_S 10u
 
-/* Header and definitions without the parameters: 982 bytes with texts of 40 characters. */
-#define DEFINITIONS_BYTES 1024u
+/* Header and definitions without the parameters: 1003 bytes with texts of 40 characters. */
+#define DEFINITIONS_BYTES 1016u
 #define PARAMETERS_PER_POLL 16u /* two pages */
 #define PARAMETER_BYTES (ULOG_HEADER_BYTES + 1u + 6u + PARAM_NAME_BYTES + 4u)
 

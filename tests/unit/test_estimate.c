@@ -1,3 +1,4 @@
+#include "base/real.h"
 #include "speed_swims.h"
 
 void setUp(void) { set_up_swims(); }
@@ -86,6 +87,30 @@ static void test_rest_that_ends_with_a_beat(void) {
         (void)finish(BEATS,
                      &(estimate_rest_t){.begin_s = begin_s, .still_s = (float)steps - begin_s});
         TEST_ASSERT_FALSE(isnan(speed_m_s[0]));
+    }
+}
+
+/* Either rest's tilt widens sigma, by as much whenever it is computed; without any it is as it was.
+ */
+static void test_unknown_tilt_widens_sigma(void) {
+    const float tilt_rad[][2] = {{0, 0}, {0.002f, 0}, {0, 0.002f}, {0, 0.004f}, {0, 0}};
+    const float wider[] = {1.0f, 1.02f, 1.05f, 1.2f, 1.0f};
+    config.source = SPEED_SOURCE_IMU;
+    config.sigma_max_m_s = 1.0f;
+    swim(5, 1.0);
+    make_imu_errors();
+    float plain = 0.0f;
+    for (unsigned i = 0; i < 5; i++) {
+        before.tilt_sigma_rad = tilt_rad[i][0];
+        estimate_rest_t rest = after;
+        rest.tilt_sigma_rad = tilt_rad[i][1];
+        live_through((senses_t){.imu = true});
+        (void)finish(BEATS, &rest);
+        plain = i == 0 ? sigma_m_s[20] : plain;
+        printf("tilt %g, %g rad: sigma %.4f mm/s\n", (double)tilt_rad[i][0], (double)tilt_rad[i][1],
+               1e3 * (double)sigma_m_s[20]);
+        TEST_ASSERT_TRUE(wider[i] > 1.0f ? sigma_m_s[20] > wider[i] * plain
+                                         : real_abs(sigma_m_s[20] - plain) <= 0.0f);
     }
 }
 
@@ -328,6 +353,7 @@ int main(void) {
     RUN_TEST(test_a_hole_in_vision_alone_is_unmeasured);
     RUN_TEST(test_imu_refuses_without_rests);
     RUN_TEST(test_rest_that_ends_with_a_beat);
+    RUN_TEST(test_unknown_tilt_widens_sigma);
     RUN_TEST(test_imu_that_was_silent_for_a_while_gives_nothing);
     RUN_TEST(test_beats_known_too_badly_are_unmeasured);
     RUN_TEST(test_samples_of_the_model);
