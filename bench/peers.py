@@ -13,11 +13,11 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import Any, ClassVar, Protocol
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -29,11 +29,14 @@ from scipy.signal import butter, filtfilt
 from tailbeat.core.arrays import F64
 from tailbeat.core.reference import thesis
 from tailbeat.learning.belief import believe
+from tailbeat.learning.fish_model import TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import ModelStepSetting, propose_by
 from tailbeat.studies.montecarlo.batch import FishBatch
 from tailbeat.studies.montecarlo.learners import identify, speeds_of
 from tailbeat.studies.montecarlo.populations import draw, still
+
+Grid = dict[str, list[float]]
 
 MOST_RAD, TRIALS, FIRST_TRIAL = math.pi / 4, 6, 9
 WANTED = thesis().speed_m_s.astype(np.float64)
@@ -84,21 +87,30 @@ def box_step(matrix: F64, error: F64, amplitude: F64, weight: float) -> F64:
     wide = np.vstack([matrix, math.sqrt(weight) * np.eye(BEATS)])
     right = np.concatenate([error, np.zeros(BEATS)])
     low, high = -amplitude - 1e-9, MOST_RAD - amplitude + 1e-9
-    return np.clip(amplitude + lsq_linear(wide, right, (low, high)).x, 0, MOST_RAD)
+    step: F64 = lsq_linear(wide, right, (low, high)).x
+    return np.clip(amplitude + step, 0, MOST_RAD)
 
 
 def static_inverse(identified: Identified) -> F64:
     """The first input by the line through steady speeds, one beat early."""
-    points = [
-        (t.amplitude_rad.max(), float(np.nanmax(t.speed_m_s))) for t in identified.trials
-    ]
-    slope, offset = np.polyfit(*np.array(points).T[::-1], 1)
+    amplitude = np.array([trial.amplitude_rad.max() for trial in identified.trials])
+    speed = np.array([np.nanmax(trial.speed_m_s) for trial in identified.trials])
+    slope, offset = np.polyfit(speed, amplitude, 1)
     ahead = np.append(WANTED[1:], WANTED[-1])
     return np.clip(np.where(ahead > 0.004, offset + slope * ahead, 0), 0, MOST_RAD)
 
 
+class Law(Protocol):
+    """``first``: the first input. ``following``: the next, from the last input, its errors (filled
+    in where nothing was measured) and its speeds."""
+
+    first: F64
+
+    def following(self, amplitude: F64, error: F64, speed: F64) -> F64: ...
+
+
 class NormOptimal:
-    grid = {"weight": [1e-4, 3e-4, 1e-3, 3e-3, 1e-2]}
+    grid: ClassVar[Grid] = {"weight": [1e-4, 3e-4, 1e-3, 3e-3, 1e-2]}
 
     def __init__(self, identified: Identified, weight: float) -> None:
         model = Arx.of(identified)
@@ -110,7 +122,7 @@ class NormOptimal:
 
 
 class PdFilter:
-    grid = {"kp": [2.0, 3.0, 4.0], "kd": [0.0, 1.0, 2.0], "cut": [0.2, 0.35, 0.5]}
+    grid: ClassVar[Grid] = {"kp": [2.0, 3.0, 4.0], "kd": [0.0, 1.0, 2.0], "cut": [0.2, 0.35, 0.5]}
 
     def __init__(self, identified: Identified, kp: float, kd: float, cut: float) -> None:
         self.first, self.kp, self.kd, self.cut = static_inverse(identified), kp, kd, cut
@@ -124,7 +136,7 @@ class PdFilter:
 
 
 class Gradient:
-    grid = {"share": [0.2, 0.5, 0.8, 1.2, 1.6]}
+    grid: ClassVar[Grid] = {"share": [0.2, 0.5, 0.8, 1.2, 1.6]}
 
     def __init__(self, identified: Identified, share: float) -> None:
         model = Arx.of(identified)
@@ -139,13 +151,14 @@ class Gradient:
 class GaussianProcess:
     """Of y_k by (y_(k-1), u_k, u_(k-1), u_(k-2)); all trials count."""
 
-    grid = {"length": [0.7, 1.2, 2.0], "weight": [1e-4, 1e-3]}
+    grid: ClassVar[Grid] = {"length": [0.7, 1.2, 2.0], "weight": [1e-4, 1e-3]}
     scale = np.array([0.05, 0.3, 0.3, 0.3])
     noise_m_s, size_m_s = 0.0015, 0.05
 
     def __init__(self, identified: Identified, length: float, weight: float) -> None:
         self.length, self.weight = length, weight
-        self.x, self.y = [], []
+        self.x: list[list[float]] = []
+        self.y: list[float] = []
         for trial in identified.trials:
             self.learn(trial.amplitude_rad, trial.speed_m_s)
         self.fit()
@@ -166,7 +179,8 @@ class GaussianProcess:
         """A linear and a squared-exponential part."""
         p, q = a / self.scale, b / self.scale
         apart = np.sum((p[:, None, :] - q[None, :, :]) ** 2, axis=2)
-        return self.size_m_s**2 * (np.exp(-apart / (2 * self.length**2)) + p @ q.T + 1)
+        both: F64 = self.size_m_s**2 * (np.exp(-apart / (2 * self.length**2)) + p @ q.T + 1)
+        return both
 
     def fit(self) -> None:
         x = np.array(self.x)
@@ -198,15 +212,15 @@ class GaussianProcess:
 
 
 class Ours:
-    grid: dict[str, list[float]] = {}
+    grid: ClassVar[Grid] = {}
 
     def __init__(self, identified: Identified) -> None:
         self.belief = believe(identified, [])
-        self.kept: list = []
+        self.kept: list[TrialSpeeds] = []
         self.setting = ModelStepSetting(thesis(), MOST_RAD)
         self.first = propose_by(self.belief, self.setting).amplitude_rad
 
-    def take(self, trial) -> None:
+    def take(self, trial: TrialSpeeds) -> None:
         self.kept.append(trial)
         self.belief = self.belief.after(trial)
 
@@ -214,7 +228,7 @@ class Ours:
         return propose_by(self.belief, self.setting, self.kept).amplitude_rad
 
 
-PEERS: dict[str, Callable] = {
+PEERS: dict[str, Any] = {
     "norm-optimal": NormOptimal, "PD + Q": PdFilter, "gradient": Gradient, "GP": GaussianProcess,
     "model-based": Ours,
 }  # fmt: skip
@@ -226,7 +240,7 @@ def learned(job: tuple[str, int, str, dict[str, float]]) -> list[float]:
     population, seed, name, settings = job
     fish = draw(population, "reactive", seed) | {"seed": float(seed)}
     identified = identify("reactive", fish, MOST_RAD, 1.0, 1)
-    law = PEERS[name](identified, **settings)
+    law: Law = PEERS[name](identified, **settings)
     batch, quiet = FishBatch("reactive", [fish]), FishBatch("reactive", [still(fish)])
     amplitude, errors = law.first, []
     for number in range(FIRST_TRIAL, FIRST_TRIAL + TRIALS):

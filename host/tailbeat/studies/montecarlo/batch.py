@@ -186,12 +186,14 @@ def smallest_error(
     beat_s: float,
     amplitude_max_rad: float,
     starts: Sequence[F64],
+    number: int = 1,
 ) -> tuple[float, F64]:
     """(max|e| of the best input found, the input): linear programs in a trust region, from each of
-    ``starts``, on the noise-free fish before any drift. Costs about a second per start."""
-    quiet = still(fish) | {"drift_sigma": 0.0, "drift_trend": 0.0}
-    fish, number = (fish, QUIET_TRIAL) if is_foreign(plant) else (quiet, 1)
-    search = _Search(plant, fish, number, reference_m_s, beat_s, amplitude_max_rad)
+    ``starts``, on the noise-free fish as it has drifted at trial ``number``. Costs about a second
+    per start."""
+    if is_foreign(plant):
+        number = QUIET_TRIAL
+    search = _Search(plant, still(fish), number, reference_m_s, beat_s, amplitude_max_rad)
     return min((search.descend(start) for start in starts), key=lambda found: found[0])
 
 

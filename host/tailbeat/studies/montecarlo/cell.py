@@ -4,6 +4,7 @@ of both."""
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -156,16 +157,28 @@ def _kappa_per_m(cell: Cell, fish: dict[str, float]) -> float:
     return float(plant_config(cell.plant.plant, fish).kappa_per_m)
 
 
-def _smallest_error(
-    recipe: Recipe, cell: Cell, fish: dict[str, float], reference: Reference, more: list[F64]
-) -> tuple[float, F64]:
-    """From the inputs of two plain fish models and ``more``."""
+def _smallest_errors(
+    recipe: Recipe,
+    cell: Cell,
+    fish: dict[str, float],
+    reference: Reference,
+    trials: Sequence[int],
+    more: Sequence[F64] = (),
+) -> tuple[F64, F64]:
+    """(the fish's smallest error as it has drifted at each of ``trials``, the best input of the
+    first): from the inputs of two plain fish models and ``more``, later ones from the one before.
+    """
     wanted, most = reference.speed_m_s.astype(np.float64), recipe.amplitude_max_rad
     kappa_per_m = _kappa_per_m(cell, fish)
     kappa_per_m = 10.0 if np.isnan(kappa_per_m) else kappa_per_m
     plain = [FishModel(kappa_per_m, 0.13, 0.1, 0.2), FishModel(kappa_per_m, 0.18, 0.15, 0.4)]
     starts = [plan(model, wanted, reference.beat_s, most).amplitude_rad for model in plain]
-    return smallest_error(cell.plant.plant, fish, wanted, reference.beat_s, most, [*more, *starts])
+    plant, beat_s, found = cell.plant.plant, reference.beat_s, []
+    starts = [*more, *starts]
+    for number in trials:
+        found.append(smallest_error(plant, fish, wanted, beat_s, most, starts, number))
+        starts = [found[-1][1], *more]
+    return np.array([error for error, _ in found]), found[0][1]
 
 
 @dataclass(frozen=True)
@@ -225,7 +238,7 @@ def _reference(
 def _fixed(recipe: Recipe, cell: Cell, fish: Fish, ground: _Ground) -> BatchLearner:
     if ground.bound is not None:
         return learners.FixedInput(ground.bound.lsq_input.astype(np.float64), len(fish))
-    best = [_smallest_error(recipe, cell, one, ground.reference, [])[1] for one in fish]
+    best = [_smallest_errors(recipe, cell, one, ground.reference, [FIRST_TRIAL])[1] for one in fish]
     return learners.FixedInput(np.array(best), len(fish))
 
 
@@ -381,15 +394,17 @@ class _Rows:
         )  # fmt: skip
 
     def own_bounds(self) -> None:
-        """Each fish's own smallest error, from the best input of the law among other starts."""
+        """Each fish's own smallest error at each trial, from the law's best input among other
+        starts."""
         if self.ground.bound is not None:
             return
-        found = [
-            _smallest_error(self.recipe, self.cell, fish, self.ground.reference, [best])[0]
+        trials = range(FIRST_TRIAL, FIRST_TRIAL + len(self.rows) - 1)
+        found = np.array([
+            _smallest_errors(self.recipe, self.cell, fish, self.ground.reference, trials, [best])[0]
             for fish, (_, best) in zip(self.each, self._best, strict=True)
-        ]
-        for row in self.rows:
-            row["floor_minimax_m_s"] = np.array(found)
+        ])  # fmt: skip
+        for row, bounds in zip(self.rows, [found[:, 0], *found.T], strict=True):
+            row["floor_minimax_m_s"] = np.fmin(bounds, row.get("input_max_abs_error_m_s", np.inf))
 
     def table(self) -> Table:
         """Fish by fish, in the order of the iterations."""

@@ -31,9 +31,9 @@ from tailbeat.studies.montecarlo import learners, runner
 from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.cell import Cell, cells, run_cell
 from tailbeat.studies.montecarlo.recipe import ClaimSpec, Recipe, load, parse
-from tailbeat.studies.montecarlo.results import identity
+from tailbeat.studies.montecarlo.results import GROUP, Rows, identity
 from tailbeat.studies.montecarlo.runner import Interrupted, StudyFolder, compute, run_study
-from tailbeat.studies.montecarlo.summary import GROUP, Rows, judge, summarise
+from tailbeat.studies.montecarlo.summary import judge, summarise
 
 CLAIM = """
 [[claim]]
