@@ -8,7 +8,7 @@ import re
 import shutil
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -614,30 +614,33 @@ def refracted(place: Floats, depth_m: float, surface_up_m: float = 0.0) -> Float
 
 
 @pytest.mark.parametrize("surface_up_m", [0.0, -0.2])
-def test_a_marker_under_water(true_camera: list[tuple[str, Image]], surface_up_m: float) -> None:
-    """Exact below the camera; farther away off by what the file says."""
+def test_a_marker_under_water(
+    true_camera: list[tuple[str, Image]], surface_up_m: float, tmp_path: Path
+) -> None:
+    """As right at the farthest corner as below the camera, and the way back, and from the file."""
     height = Height(surface_up_m, 0.25)
     made = by_hand(TRUE.pixels(TANK), board=true_camera, height=height, area_m=AREA)
-    found = made.calibration
-
-    def off_mm(place: tuple[float, float]) -> float:
+    made.calibration.save(tmp_path / "tank.json")
+    found = load_calibration(tmp_path / "tank.json")
+    for place in ((0.0, -0.8), (1.7, 0.1), (3.0, 0.8), (0.0, 0.0)):
         through = refracted(np.array(place), 0.25, surface_up_m)
-        there = found.to_tank(TRUE.pixels(through, surface_up_m))[0]
-        return float(np.linalg.norm(there - place) * 1e3)
-
-    told = re.search(
-        r"at the farthest corner, (\S+) m .* leaves (\S+) mm, and (\S+) % of a speed$", found.plane
+        pixel = TRUE.pixels(through, surface_up_m)
+        there = found.to_tank(pixel)
+        assert np.linalg.norm(there - place) < 1e-4
+        np.testing.assert_allclose(found.to_pixels(there), pixel, atol=1e-3)
+    flat = replace(found, refraction=None).to_tank(
+        TRUE.pixels(refracted(np.array((0.0, -0.8)), 0.25, surface_up_m), surface_up_m)
     )
-    assert told is not None
-    assert float(told[1]) == pytest.approx(1.7, abs=0.01)
-    assert off_mm((0.0, -0.8)) == pytest.approx(float(told[2]), abs=0.06)
-    assert float(told[2]) > 3
-    inward = np.array([1.5, 0.8]) / 1.7 * 0.02
-    slope = (off_mm((0.0, -0.8)) - off_mm(tuple(np.array([0.0, -0.8]) + inward))) / 20
-    assert slope * 100 == pytest.approx(float(told[3]), abs=0.1)
-    assert off_mm((1.7, 0.1)) < 0.05
-    assert "250 mm under water and taken to be 188 mm under the surface" in found.plane
+    assert np.linalg.norm(flat - (0.0, -0.8)) > 3e-3  # what it would be without
+    assert "250 mm under water" in found.plane
     assert ("200 mm below the points" in found.plane) == (surface_up_m < 0)
+
+
+def test_a_marker_deeper_than_the_camera_is_high(
+    true_camera: list[tuple[str, Image]],
+) -> None:
+    with refused("a marker 3 m under water cannot be seen right by a camera 2.6"):
+        by_hand(TRUE.pixels(TANK), board=true_camera, height=Height(0.0, 3.0), area_m=AREA)
 
 
 def test_heights_that_cannot_be(true_camera: list[tuple[str, Image]]) -> None:

@@ -12,13 +12,11 @@ from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.calibration.file import SCALE_ERROR_MAX, Calibration, Lens, check_sense
 from tailbeat.sensors.camera.calibration.intrinsics import Intrinsics, find_intrinsics
 from tailbeat.sensors.camera.calibration.plane import (
-    WATER,
     CameraPlace,
     Plane,
     camera_place,
     fit_plane,
     raised,
-    refraction_error_m,
 )
 from tailbeat.sensors.camera.calibration.points import (
     TankPoint,
@@ -28,6 +26,7 @@ from tailbeat.sensors.camera.calibration.points import (
     located,
     tank_anchors,
 )
+from tailbeat.sensors.camera.calibration.water import WATER, Refraction
 from tailbeat.sensors.camera.marker.tags import RULER_IDS, anchors_of, find_markers
 from tailbeat.sensors.camera.source.picture import Image, size_of
 
@@ -170,11 +169,12 @@ def calibrate(
     plane = fit_plane(lens, pixels, places, names, known_camera)
     camera = camera_place(lens, plane, pixels, places, names) if known_camera else None
     area = _area(area_m, places, list(plane.left_out))
-    matrix, words = _marker_plane(plane, camera, height or Height(), area)
+    matrix, refraction, words = _marker_plane(plane, camera, height or Height())
     kept = [point for i, point in enumerate(here) if i not in plane.left_out]
     calibration = Calibration(
         size_px, lens.camera_matrix, lens.distortion, matrix, area, tank_anchors(kept),
         rms_px=intrinsics.rms_px if intrinsics else None, plane_rms_m=plane.rms_m, plane=words,
+        refraction=refraction,
     )  # fmt: skip
     check_sense(calibration, "what comes out")
     check_area_seen(calibration)
@@ -261,12 +261,12 @@ def _area(area_m: F64 | None, places: F64, left_out: list[int]) -> F64:
 
 
 def _marker_plane(
-    plane: Plane, camera: CameraPlace | None, height: Height, area: F64
-) -> tuple[F64, str]:
+    plane: Plane, camera: CameraPlace | None, height: Height
+) -> tuple[F64, Refraction | None, str]:
     if height.depth_m < 0:
         raise InputError("a depth is not negative", "Above the points: --raise METRES")
     if height.raise_m == 0 and height.depth_m == 0:
-        return plane.tank_from_image, "the marker swims in the plane of the points"
+        return plane.tank_from_image, None, "the marker swims in the plane of the points"
     if camera is None:
         option = "--depth" if height.depth_m else "--raise"
         raise InputError(
@@ -277,18 +277,16 @@ def _marker_plane(
     moved = raised(plane.tank_from_image, camera, apparent)
     words = f"camera {camera.height_m:.2f} m above the points; "
     if not height.depth_m:
-        return moved, f"{words}the marker's plane is {_above(height.raise_m)}"
-    over_water = camera.height_m - height.raise_m
-    reach = float(np.linalg.norm(area - camera.foot_m, axis=1).max())
-    error_m = refraction_error_m(over_water, height.depth_m, reach)
-    farther_m = refraction_error_m(over_water, height.depth_m, reach * 1.01)
-    percent = (farther_m - error_m) / (0.01 * reach) * 100
+        return moved, None, f"{words}the marker's plane is {_above(height.raise_m)}"
     surface = f"; the surface is {_above(height.raise_m)}" if height.raise_m else ""
-    return moved, (
-        f"{words}the marker is {height.depth_m * 1e3:.0f} mm under water and taken to be "
-        f"{height.depth_m / WATER * 1e3:.0f} mm under the surface, as it looks from above"
-        f"{surface}; at the farthest corner, {reach:.2f} m from the camera's foot, that leaves "
-        f"{error_m * 1e3:.1f} mm, and {percent:.1f} % of a speed"
+    refraction = Refraction(camera.foot_m, camera.height_m - height.raise_m, height.depth_m)
+    return (
+        moved,
+        refraction,
+        (
+            f"{words}the marker is {height.depth_m * 1e3:.0f} mm under water: its light is taken "
+            f"through a flat surface by Snell's law{surface}"
+        ),
     )
 
 

@@ -19,6 +19,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import plain, write_whole
 from tailbeat.sensors.camera import cv2
+from tailbeat.sensors.camera.calibration.water import Refraction
 
 _FAR_PX = 1e6
 _ROUNDS, _CLOSE_PX = 60, 1e-7
@@ -122,6 +123,7 @@ ANCHOR_OFF_MAX_M = 0.02
 
 _FORMAT, _VERSION = "tailbeat camera calibration", 1
 _HORIZON = 1e-6
+_BENT_PER_RMS = 4.0  # 0.7 pi over half of the area
 _MAKE_ONE = "Make one: tailbeat camera calibrate"
 
 
@@ -138,7 +140,9 @@ class Calibration:
     ``anchors``: id of a marker that is fixed at the tank -> its centre in pixels when calibrated.
     ``scale_error``: by the ruler, relative; None = never checked. ``rms_px``: of the intrinsics,
     None = a camera taken to be without distortion. ``plane_rms_m``: of the tank's points.
-    ``plane``: in words, where the marker's plane is and how that was dealt with.
+    ``plane``: in words, where the marker's plane is and how that was dealt with. ``refraction``:
+    None = the marker is not under water, or the points were; else the homography is to the plane in
+    which it seems to be.
     """
 
     size_px: tuple[int, int]
@@ -153,16 +157,30 @@ class Calibration:
     plane: str = ""
     camera: str = ""
     made_at: str = ""
+    refraction: Refraction | None = None
 
     def to_tank(self, points_px: F64) -> F64:
         """Pixels (n, 2) of the distorted picture to metres (n, 2)."""
         flat = self.lens.undistorted(points_px)
-        return mapped(self._to_tank, flat)
+        places = mapped(self._to_tank, flat)
+        return places if self.refraction is None else self.refraction.true(places)
+
+    @property
+    def scale_sigma(self) -> float:
+        """Standard deviation of the scale from place to place, relative, as far as the misfit of
+        the tank's points tells it. A homography through a dozen points is off by about 0.7 of their
+        RMS, this way and that over half of the area. 0 = only four points, or no area."""
+        if not self.plane_rms_m or self.area_m is None:
+            return 0.0
+        extent_m = float(np.ptp(np.asarray(self.area_m), axis=0).max())
+        return _BENT_PER_RMS * self.plane_rms_m / extent_m
 
     def to_pixels(self, points_m: F64) -> F64:
         """Metres (n, 2) to pixels (n, 2) of the distorted picture; the inverse of to_tank within
         1e-3 pixels everywhere in the picture. Points that the camera cannot see lie outside it."""
         points = np.asarray(points_m, dtype=np.float64).reshape(-1, 2)
+        if self.refraction is not None:
+            points = self.refraction.apparent(points)
         rays = points @ self._to_rays[:, :2].T + self._to_rays[:, 2]
         return self.lens.pixels(rays / np.maximum(rays[:, 2:], _HORIZON))
 
@@ -287,6 +305,8 @@ def check_sense(calibration: Calibration, name: str) -> None:
     _check_plane(calibration, name)
     if calibration.area_m is not None:
         check_area(calibration.area_m, name)
+    if calibration.refraction is not None:
+        _check_refraction(calibration.refraction, name)
 
 
 def check_area(area_m: F64, name: str) -> None:
@@ -304,6 +324,18 @@ def check_area(area_m: F64, name: str) -> None:
     one_way = (turn >= -_TURN_RAD).all() or (turn <= _TURN_RAD).all()
     if not (sides.any(axis=1).all() and once_round and one_way):
         raise InputError(f"{name}: the area is not convex, or its corners are out of order", _AGAIN)
+
+
+def _check_refraction(bent: Refraction, name: str) -> None:
+    foot = np.asarray(bent.foot_m)
+    if foot.shape != (2,) or not (np.abs(foot) <= _FAR_M).all():
+        raise InputError(f"{name}: refraction.foot_m should be 2 numbers, in a tank", _AGAIN)
+    if not (0 < bent.over_water_m <= _FAR_M and 0 <= bent.depth_m <= bent.over_water_m):
+        raise InputError(
+            f"{name}: a marker {bent.depth_m:g} m under water cannot be seen right by a camera "
+            f"{bent.over_water_m:g} m above it",
+            "Heights are metres; the camera hangs higher than the marker is deep.",
+        )
 
 
 def _check_numbers(calibration: Calibration, name: str) -> None:

@@ -101,7 +101,6 @@ def _check_unambiguous(ways: list[_Without], names: list[str], fit: PlaneFit) ->
     )
 
 
-WATER = 1.33  # refractive index
 RMS_MAX_M = 0.02
 _SPREAD_MIN = 0.01  # of the equations for a homography, smallest over largest singular value
 # True points measured within 2 mm and found within 0.2 pixels are up to 6 mm off, with a focal
@@ -244,22 +243,6 @@ def raised(tank_from_image: F64, camera: CameraPlace, raise_m: float) -> F64:
     shrink = np.array([[share, 0, (1 - share) * x], [0, share, (1 - share) * y], [0, 0, 1.0]])
     moved: F64 = shrink @ tank_from_image
     return moved
-
-
-def refraction_error_m(height_m: float, depth_m: float, distance_m: float) -> float:
-    """What taking a marker to be depth/1.33 under the water's surface, as it looks from straight
-    above, puts it off at ``distance_m`` from the camera's foot. By Snell's law; positive = too far
-    from the foot. ``height_m``: of the camera over the surface."""
-    from scipy.optimize import brentq
-
-    def out_m(surface_m: float) -> float:
-        sine = surface_m / np.hypot(surface_m, height_m) / WATER
-        return float(surface_m + depth_m * sine / np.sqrt(1 - sine**2))
-
-    if distance_m <= 0 or depth_m <= 0:
-        return 0.0
-    surface_m = brentq(lambda s: out_m(s) - distance_m, 0.0, distance_m)
-    return float(surface_m * (1 + depth_m / WATER / height_m) - distance_m)
 
 
 def _predicted(flat: F64, places: F64) -> float | None:
