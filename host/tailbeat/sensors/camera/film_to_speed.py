@@ -132,8 +132,8 @@ def analyse(
     on_place: Callable[..., None] | None = None,
 ) -> FilmAnalysis:
     """All of ``source``: track, begin of the trial (``start_s`` if given, else by LED or yaw when
-    there is a trial) and speed; with a trial its sigma holds that of the begin. ``beat_s`` counts
-    without a trial only.
+    there is a trial) and speed, whose sigma holds the calibration's and, with a trial, that of the
+    begin. ``beat_s`` counts without a trial only.
 
     Raises InputError: what track, sync (WrongPair) and swim_speed raise.
     """
@@ -145,6 +145,7 @@ def analyse(
         assert found is not None
         curve = swim_speed(seen, trial.beat_s, found.start_s, beats=trial.executed_beats)
         curve = curve.with_begin_sigma(found.sigma_s)
+    curve = curve.with_scale_sigma(calibration.scale_sigma)
     return FilmAnalysis(seen, curve, found, trial, calibration)
 
 

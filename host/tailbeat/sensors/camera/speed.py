@@ -1,13 +1,7 @@
-"""Speeds of a film: a Kalman filter and smoother over the positions along the swim direction.
+"""Speeds of a film: from a smoother over the positions along the swim direction (smoother.py).
 
-State: way, speed, acceleration (a Wiener process, spectral density ``jerk`` squared), and two
-oscillators at once and twice the beat's frequency, each [in phase, in quadrature], stationary with
-standard deviations ``ripple`` and ``second`` and a correlation time of CORRELATION_BEATS. What is
-seen is way + both in phase + white noise. Everything is in units of the noise: it divides out, and
-its size follows from the innovations.
-
-The sizes of all four are those of the largest likelihood. With 1 mm of noise at 25 frames/s a frame
-difference is 35 mm/s wrong, a line over one beat (tracking/live.py) 0.7, this 0.2.
+With 1 mm of noise at 25 frames/s a frame difference is 35 mm/s wrong, a line over one beat
+(tracking/live.py) 0.7, this 0.2.
 """
 
 from __future__ import annotations
@@ -15,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -25,182 +18,21 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.csv import table_text
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
+from tailbeat.sensors.camera.smoother import (
+    SEEN_AS,
+    STATES,
+    WAY_AS,
+    Models,
+    Smoothed,
+    forward,
+    likeliest,
+    smooth,
+)
+from tailbeat.sensors.camera.tracking.stamps import check_stamps
 from tailbeat.sensors.camera.tracking.track import BRIDGED_IN_A_ROW_MAX, Track
-
-STATES = 7
-SEEN_AS = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0])
-CORRELATION_BEATS = 4.0
-# Before the first picture: anywhere (in units of the noise), at any speed of a fish.
-_WAY_SPREAD, _SPEED_SPREAD, _RISE_SPREAD = 1e6, 1e3, 1e3
-
-
-@dataclass(frozen=True)
-class Candidates:
-    """Parameters in units of the noise, arrays of shape (n,): ``jerk`` in 1/s^2.5, the ripples as
-    lengths."""
-
-    jerk: F64
-    ripple: F64
-    second: F64
-
-
-@dataclass(frozen=True)
-class Forward:
-    """A filter pass: innovation^2/variance and log variance summed over what was seen, shape (n,).
-    ``nodes``, of one candidate: mean and covariance of each node as predicted, and as filtered."""
-
-    chi2: F64
-    log_variance: F64
-    count: int
-    nodes: tuple[F64, ...] = ()
-
-
-@dataclass(frozen=True)
-class Smoothed:
-    """Shape (nodes, 7), (nodes, 7, 7); ``gain[k]`` (7, 7) takes node k+1's smoothing back to k."""
-
-    mean: F64
-    cov: F64
-    gain: F64
-
-
-def transition(dt_s: float, beat_s: float) -> F64:
-    """Shape (7, 7)."""
-    step = np.zeros((STATES, STATES))
-    step[:3, :3] = np.array([[1, dt_s, dt_s**2 / 2], [0, 1, dt_s], [0, 0, 1]])
-    kept = np.exp(-dt_s / (CORRELATION_BEATS * beat_s))
-    for order in (1, 2):
-        angle = 2 * np.pi * order * dt_s / beat_s
-        cos, sin = kept * np.cos(angle), kept * np.sin(angle)
-        at = 1 + 2 * order
-        step[at : at + 2, at : at + 2] = np.array([[cos, sin], [-sin, cos]])
-    return step
-
-
-def process_noise(dt_s: float, beat_s: float, by: Candidates) -> F64:
-    """Shape (n, 7, 7)."""
-    noise = np.zeros((len(by.jerk), STATES, STATES))
-    d = dt_s
-    wiener = np.array(
-        [[d**5 / 20, d**4 / 8, d**3 / 6], [d**4 / 8, d**3 / 3, d**2 / 2], [d**3 / 6, d**2 / 2, d]]
-    )
-    noise[:, :3, :3] = (by.jerk**2)[:, None, None] * wiener
-    lost = 1 - np.exp(-2 * dt_s / (CORRELATION_BEATS * beat_s))
-    for at, size in ((3, by.ripple), (5, by.second)):
-        noise[:, at, at] = noise[:, at + 1, at + 1] = size**2 * lost
-    return noise
-
-
-def prior(by: Candidates, first: float) -> tuple[F64, F64]:
-    """Mean (n, 7) and covariance (n, 7, 7) at the first node."""
-    count = len(by.jerk)
-    mean = np.zeros((count, STATES))
-    mean[:, 0] = first
-    cov = np.zeros((count, STATES, STATES))
-    for at, spread in enumerate((_WAY_SPREAD, _SPEED_SPREAD, _RISE_SPREAD)):
-        cov[:, at, at] = spread**2
-    for at, size in ((3, by.ripple), (5, by.second)):
-        cov[:, at, at] = cov[:, at + 1, at + 1] = size**2
-    return mean, cov
-
-
-def forward(t_s: F64, way: F64, beat_s: float, by: Candidates, keep: bool) -> Forward:
-    """Filters nodes at rising ``t_s``, shape (nodes,); ``way`` NaN = nothing seen there."""
-    steps: dict[int, tuple[F64, F64]] = {}  # by their length, which few films have many of
-    mean, cov = prior(by, float(way[np.isfinite(way)][0]))
-    chi2, log_variance, count = np.zeros(len(by.jerk)), np.zeros(len(by.jerk)), 0
-    nodes: list[tuple[F64, ...]] = []
-    for k in range(len(t_s)):
-        if k:
-            microseconds = round((t_s[k] - t_s[k - 1]) * 1e6)
-            if microseconds not in steps:
-                dt_s = microseconds * 1e-6
-                steps[microseconds] = transition(dt_s, beat_s), process_noise(dt_s, beat_s, by)
-            step, noise = steps[microseconds]
-            mean = mean @ step.T
-            cov = step @ cov @ step.T + noise
-        predicted = mean, cov
-        if np.isfinite(way[k]):
-            mean, cov, missed, variance = _see(mean, cov, float(way[k]))
-            if count:  # the first only says where the way begins
-                chi2 += missed**2 / variance
-                log_variance += np.log(variance)
-            count += 1
-        if keep:
-            nodes.append(tuple(part[0] for part in (*predicted, mean, cov)))
-    return Forward(chi2, log_variance, count - 1, tuple(map(np.array, zip(*nodes, strict=True))))
-
-
-def _see(mean: F64, cov: F64, way: float) -> tuple[F64, F64, F64, F64]:
-    across = cov @ SEEN_AS
-    variance = across @ SEEN_AS + 1.0
-    missed = way - mean @ SEEN_AS
-    gain = across / variance[:, None]
-    mean = mean + gain * missed[:, None]
-    cov = cov - gain[:, :, None] * across[:, None, :]
-    return mean, cov, missed, variance
-
-
-def smooth(t_s: F64, beat_s: float, done: Forward) -> Smoothed:
-    """Rauch, Tung and Striebel's pass over a kept filter pass, in its arrays."""
-    predicted, predicted_cov, mean, cov = done.nodes
-    steps = {dt: transition(dt * 1e-6, beat_s) for dt in {round(d * 1e6) for d in np.diff(t_s)}}
-    moves = np.array([steps[round(d * 1e6)] for d in np.diff(t_s)])
-    crossed = cov[:-1] @ moves.transpose(0, 2, 1)
-    gain = np.linalg.solve(predicted_cov[1:], crossed.transpose(0, 2, 1)).transpose(0, 2, 1)
-    for k in range(len(t_s) - 2, -1, -1):
-        mean[k] += gain[k] @ (mean[k + 1] - predicted[k + 1])
-        cov[k] += gain[k] @ (cov[k + 1] - predicted_cov[k + 1]) @ gain[k].T
-    return Smoothed(mean, cov, gain)
-
 
 COVERAGE_MIN = 0.6
 SIGMA_MIN_M_S = 1e-5
-
-
-_TUNING_PICTURES = 1500
-_NOISE_MIN_M = 1e-6  # places of drawn or frozen pictures are exactly equal
-# In units of the noise, of about a millimetre: from far below what matters to far above.
-_JERK_RANGE, _RIPPLE_RANGE = (1e-2, 1e4), (1e-3, 30.0)
-_RATIOS = (10.0, 10.0, 3.0, 3.0, 3.0, 1.6, 1.6, 1.25, 1.25)
-
-
-def likeliest(t_s: F64, way_m: F64, beat_s: float) -> tuple[Candidates, float]:
-    """Of ways at rising times, shape (pictures,): the parameters in units of the noise (one
-    candidate), and the noise in metres, 1e-6 or more. From coarse to fine, three values of each at
-    a time; the noise divides out (concentrated likelihood), and its first guess only sets the scale
-    of the search."""
-    stride = -(-len(t_s) // _TUNING_PICTURES)
-    t_s, way_m = t_s[::stride], way_m[::stride]
-    unit_m = _rough_noise_m(way_m)
-    least = (_NOISE_MIN_M / unit_m) ** 2
-    best = np.array([30.0, 0.3, 0.3])
-    low, high = np.array([_JERK_RANGE, _RIPPLE_RANGE, _RIPPLE_RANGE]).T
-    scale = 1.0
-    for ratio in _RATIOS:
-        around = np.array(list(product((1 / ratio, 1.0, ratio), repeat=3))) * best
-        by = _candidates(np.clip(around, low, high))
-        done = forward(t_s, way_m / unit_m, beat_s, by, keep=False)
-        variance = done.chi2 / done.count
-        noise = np.maximum(variance, least)
-        loss = np.log(noise) + variance / noise + done.log_variance / done.count
-        at = int(np.argmin(loss))
-        best = np.clip(around[at], low, high)
-        scale = math.sqrt(float(noise[at]))
-    return _candidates(best[None, :]), unit_m * scale
-
-
-def _candidates(rows: F64) -> Candidates:
-    return Candidates(rows[:, 0], rows[:, 1], rows[:, 2])
-
-
-def _rough_noise_m(way_m: F64) -> float:
-    """From third differences, to which a swimming fish adds little."""
-    third = np.diff(way_m, 3)
-    rough = float(np.median(np.abs(third))) / 0.6745 / math.sqrt(20.0) if len(third) else 0.0
-    return max(rough, 1e-5)
-
-
 STEPS_PER_BEAT = 10
 COLUMNS = ("t_s", "v_m_s", "sigma_m_s", "window_s", "trial")
 
@@ -218,11 +50,12 @@ class SpeedCurve:
     (k + 0.5) beat_s, exactly one of them), less those without a speed (LOST pictures within the
     window: more than five in a row, or fewer than 60 % of them there).
 
-    ``sigma_m_s``: one standard deviation, > 0, honest: it holds the noise found in this film and
-    what the model cannot follow; not the calibration's scale, which is wrong for all samples alike,
-    and a begin that is not exactly known only by ``with_begin_sigma``.
+    ``sigma_m_s``: one standard deviation, > 0: it holds the noise found in this film, correlated
+    noise included, and what the model cannot follow; a begin that is not exactly known only by
+    ``with_begin_sigma``, the calibration only by ``with_scale_sigma``.
     ``direction_rad``: of the trial, against the tank's x. ``noise_m``: white noise of a position,
-    as found. ``start_s``: begin of beat 0. ``outliers``: positions not believed.
+    as found. ``start_s``: begin of beat 0. ``outliers``: positions
+    not believed.
     """
 
     t_s: F64
@@ -252,6 +85,10 @@ class SpeedCurve:
         rise_m_s2 = np.gradient(self.v_m_s, self.t_s)
         return replace(self, sigma_m_s=np.hypot(self.sigma_m_s, rise_m_s2 * sigma_s))
 
+    def with_scale_sigma(self, scale_sigma: float) -> SpeedCurve:
+        """The same with sigmas that hold, too, that lengths are right within that share only."""
+        return replace(self, sigma_m_s=np.hypot(self.sigma_m_s, self.v_m_s * scale_sigma))
+
 
 def swim_direction_rad(track: Track, beat_s: float = 1.0) -> float:
     """Where the fish swam, against the tank's x: from its mean place in the first beat to that in
@@ -278,7 +115,8 @@ def swim_speed(
     timing/sync.py) and had so many ``beats`` only from three beats before it to three after it.
 
     ``start_s`` None = the first row's; ``direction_rad`` None = swim_direction_rad. Takes 1 s for
-    40 s of film. Raises InputError when fewer than two beats were seen."""
+    40 s of film. Raises InputError when fewer than two beats were seen, and what
+    check_stamps raises."""
     begin_s = float(track.t_s[0]) if start_s is None else start_s
     if start_s is not None and beats is not None:
         track = _cut(track, begin_s - 3 * beat_s, begin_s + (beats + 3) * beat_s)
@@ -286,6 +124,7 @@ def swim_speed(
     if direction_rad is None:
         direction_rad = swim_direction_rad(track, beat_s)
     way = track.x_m[seen] * math.cos(direction_rad) + track.y_m[seen] * math.sin(direction_rad)
+    check_stamps(track.t_s[seen], way, track.name or "the film")
     pieces = [
         piece
         for piece in _unbroken(track.t_s[seen], way)
@@ -327,12 +166,13 @@ def _unbroken(t_s: F64, way_m: F64) -> Iterator[_Piece]:
     return zip(np.split(t_s, ends), np.split(way_m, ends), strict=True)
 
 
-def _tune(piece: _Piece, beat_s: float) -> tuple[Candidates, float]:
+def _tune(piece: _Piece, beat_s: float) -> tuple[Models, float]:
     """The likeliest parameters without the positions that they do not believe; wrong ones make the
     noise look larger, so in rounds."""
     t_s, way_m = piece
+    row = None
     for _ in range(_OUTLIER_ROUNDS):
-        by, noise_m = likeliest(t_s, way_m, beat_s)
+        by, noise_m, row = likeliest(t_s, way_m, beat_s, row)
         _, believed = _smooth_without_outliers(t_s, way_m / noise_m, beat_s, by)
         if believed.all():
             break
@@ -341,7 +181,7 @@ def _tune(piece: _Piece, beat_s: float) -> tuple[Candidates, float]:
 
 
 def _curve(
-    piece: _Piece, by: Candidates, noise_m: float, beat_s: float, start_s: float, period_s: float
+    piece: _Piece, by: Models, noise_m: float, beat_s: float, start_s: float, period_s: float
 ) -> tuple[F64, F64, F64, int]:
     """Times, speeds, sigmas, and how many positions were not believed."""
     seen_s, way_m = piece
@@ -364,12 +204,12 @@ def _curve(
 
 
 def _smooth_without_outliers(
-    t_s: F64, way: F64, beat_s: float, by: Candidates
+    t_s: F64, way: F64, beat_s: float, by: Models
 ) -> tuple[Smoothed, NDArray[np.bool_]]:
     way = way.copy()
     for _ in range(_OUTLIER_ROUNDS):
         done = forward(t_s, way, beat_s, by, keep=True)
-        smoothed = smooth(t_s, beat_s, done)
+        smoothed = smooth(done)
         # What is left behind the smoother is narrower than the noise, so this is generous.
         wrong = np.abs(way - smoothed.mean @ SEEN_AS) > _OUTLIER_SIGMA
         if not wrong.any():
@@ -384,17 +224,17 @@ def _mean_speeds(smoothed: Smoothed, on_grid: NDArray[np.intp], beat_s: float) -
     across = _products(smoothed.gain, on_grid)
     count = len(on_grid) - STEPS_PER_BEAT
     begin, end = on_grid[:count], on_grid[STEPS_PER_BEAT:]
-    way = (smoothed.mean[end] - smoothed.mean[begin]) @ SEEN_AS
+    way = (smoothed.mean[end] - smoothed.mean[begin]) @ WAY_AS
     chain = np.broadcast_to(np.eye(STATES), (count, STATES, STATES))
     for step in range(STEPS_PER_BEAT):
         chain = chain @ across[step : step + count]
-    shared = np.einsum("i,kij,kjl,l->k", SEEN_AS, chain, smoothed.cov[end], SEEN_AS)
-    own = np.einsum("i,kij,j->k", SEEN_AS, smoothed.cov[begin] + smoothed.cov[end], SEEN_AS)
+    shared = np.einsum("i,kij,kjl,l->k", WAY_AS, chain, smoothed.cov[end], WAY_AS)
+    own = np.einsum("i,kij,j->k", WAY_AS, smoothed.cov[begin] + smoothed.cov[end], WAY_AS)
     return way / beat_s, np.sqrt(np.maximum(own - 2 * shared, 0.0)) / beat_s
 
 
 def _products(gain: F64, on_grid: NDArray[np.intp]) -> F64:
-    """Of the gains from each node of the grid to the next, shape (grid - 1, 7, 7)."""
+    """Of the gains from each node of the grid to the next, shape (grid - 1, 8, 8)."""
     found = np.empty((max(len(on_grid) - 1, 0), STATES, STATES))
     for at in range(len(found)):
         product_ = np.eye(STATES)

@@ -13,6 +13,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.frames import Frame
 from tailbeat.core.reference import Reference, thesis
+from tailbeat.sensors.camera import smoother
 from tailbeat.sensors.camera import speed as speed_module
 from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.sensors.camera.speed import (
@@ -113,7 +114,7 @@ def test_speeds_of_simulated_swims_are_right_and_know_how_right(fps: float, lost
 
 def test_a_swim_in_steps_has_larger_errors_and_says_so() -> None:
     """Beside a step of the amplitude the speed bends within a third of a beat, faster than the
-    smoother lets it: the beats there are up to 1 mm/s off, always to the same side."""
+    smoother lets it: the beats there are up to 1.7 mm/s off, always to the same side."""
     amplitudes = np.repeat([0.3, 0.75, 0.2], 7)
     errors, sigmas = [], []
     for seed in STEP_SEEDS:
@@ -128,20 +129,26 @@ def test_a_swim_in_steps_has_larger_errors_and_says_so() -> None:
     print(f"seeds {STEP_SEEDS}: RMS {rms:.6f}, bias {bias.min():.6f}..{bias.max():.6f}")
     print(f"in 2 sigma {inside:.3f}, sigma {np.mean(sigma[known]):.6f}")
     assert rms < 0.75e-3
-    assert np.abs(bias).max() < 1.3e-3
+    assert np.abs(bias).max() < 1.8e-3
     assert abs(np.mean(bias)) < 0.1e-3  # all of the way is there
     assert inside >= 0.9
     assert sigma[known].max() < 1e-3
 
 
+def models(*fields):
+    """Of the smoother: jerk, ripple and second of each; the same drift for all."""
+    drift = np.full(len(fields[0]), 0.3), np.full(len(fields[0]), 0.2)
+    return smoother.Models(*map(np.array, fields), *drift)
+
+
 def dense(t_s, way, beat_s, by, ends):
     """Way between two moments and its variance, by plain Gaussian conditioning on everything."""
-    mean, cov = speed_module.prior(by, float(way[np.isfinite(way)][0]))
-    count, n = len(t_s), speed_module.STATES
+    mean, cov = smoother.prior(beat_s, by, float(way[np.isfinite(way)][0]))
+    moves, noises = smoother.steps(np.diff(t_s), beat_s, by)
+    count, n = len(t_s), smoother.STATES
     means, blocks = [mean[0]], [[cov[0]]]
     for k in range(1, count):
-        step = speed_module.transition(t_s[k] - t_s[k - 1], beat_s)
-        noise = speed_module.process_noise(t_s[k] - t_s[k - 1], beat_s, by)[0]
+        step, noise = moves[k - 1, 0], noises[k - 1, 0]
         blocks.append([step @ block for block in blocks[-1]])
         blocks[k].append(step @ blocks[k - 1][k - 1] @ step.T + noise)
         means.append(step @ means[-1])
@@ -153,9 +160,9 @@ def dense(t_s, way, beat_s, by, ends):
     seen = np.flatnonzero(np.isfinite(way))
     rows = np.zeros((len(seen) + 1, count * n))
     for row, k in enumerate(seen):
-        rows[row, k * n : k * n + n] = speed_module.SEEN_AS
-    rows[-1, ends[1] * n : ends[1] * n + n] += speed_module.SEEN_AS
-    rows[-1, ends[0] * n : ends[0] * n + n] -= speed_module.SEEN_AS
+        rows[row, k * n : k * n + n] = smoother.SEEN_AS
+    rows[-1, ends[1] * n : ends[1] * n + n] += smoother.WAY_AS
+    rows[-1, ends[0] * n : ends[0] * n + n] -= smoother.WAY_AS
     all_cov = rows @ joint @ rows.T
     all_mean = rows @ np.concatenate(means)
     data = all_cov[:-1, :-1] + np.eye(len(seen))
@@ -166,16 +173,16 @@ def dense(t_s, way, beat_s, by, ends):
 
 def test_the_smoother_gives_what_plain_gaussian_conditioning_gives(monkeypatch) -> None:
     # A vague prior costs the dense way its digits.
-    monkeypatch.setattr(speed_module, "_WAY_SPREAD", 1e2)
-    monkeypatch.setattr(speed_module, "_SPEED_SPREAD", 1e2)
-    monkeypatch.setattr(speed_module, "_RISE_SPREAD", 1e1)
+    monkeypatch.setattr(smoother, "_WAY_SPREAD", 1e2)
+    monkeypatch.setattr(smoother, "_SPEED_SPREAD", 1e2)
+    monkeypatch.setattr(smoother, "_RISE_SPREAD", 1e1)
     random = np.random.default_rng(5)
     t_s = np.sort(np.concatenate([np.arange(45) * 0.05, random.uniform(0, 2.2, 12)]))
     t_s = np.round(t_s, 6)
     way = 30 * t_s + np.sin(2 * np.pi * t_s) + random.normal(size=len(t_s))
     way[::7] = np.nan
-    by = speed_module.Candidates(np.array([20.0]), np.array([0.8]), np.array([0.4]))
-    smoothed = speed_module.smooth(t_s, 1.0, speed_module.forward(t_s, way, 1.0, by, keep=True))
+    by = models([20.0], [0.8], [0.4])
+    smoothed = smoother.smooth(smoother.forward(t_s, way, 1.0, by, keep=True))
     on_grid = np.arange(0, len(t_s), 4)
     speed, sigma = speed_module._mean_speeds(smoothed, on_grid, 1.0)
     for at in range(len(speed)):
@@ -186,21 +193,27 @@ def test_the_smoother_gives_what_plain_gaussian_conditioning_gives(monkeypatch) 
 
 
 def test_the_likelihood_is_that_of_the_innovations() -> None:
-    by = speed_module.Candidates(np.array([5.0, 50.0]), np.array([0.5, 2.0]), np.array([0.1, 1.0]))
+    columns = np.array([[5.0, 50.0], [0.5, 2.0], [0.1, 1.0]])
     t_s = np.arange(60) * 0.04
     way = np.random.default_rng(2).normal(size=60)
-    both = speed_module.forward(t_s, way, 1.0, by, keep=False)
+    both = smoother.forward(t_s, way, 1.0, models(*columns), keep=False)
     for k in range(2):
-        one = speed_module.Candidates(
-            by.jerk[k : k + 1], by.ripple[k : k + 1], by.second[k : k + 1]
-        )
-        alone = speed_module.forward(t_s, way, 1.0, one, keep=True)
+        alone = smoother.forward(t_s, way, 1.0, models(*columns[:, k : k + 1]), keep=True)
         predicted, covariance, _, _ = alone.nodes
-        missed = way - predicted @ speed_module.SEEN_AS
-        variance = speed_module.SEEN_AS @ covariance @ speed_module.SEEN_AS + 1
+        missed = way - predicted @ smoother.SEEN_AS
+        variance = smoother.SEEN_AS @ covariance @ smoother.SEEN_AS + 1
         assert both.chi2[k] == pytest.approx(np.sum((missed**2 / variance)[1:]))
         assert both.log_variance[k] == pytest.approx(alone.log_variance[0])
     assert both.count == 59
+
+
+def test_states_are_stationary_where_the_model_says_so() -> None:
+    """The sizes in the model are the standard deviations after any number of steps."""
+    by = models([5.0], [0.5], [0.2])
+    moves, noises = smoother.steps(np.array([0.04]), 1.0, by)
+    _, cov = smoother.prior(1.0, by, 0.0)
+    after = moves[0] @ cov @ moves[0].transpose(0, 2, 1) + noises[0]
+    np.testing.assert_allclose(after[:, 3:, 3:], cov[:, 3:, 3:], atol=1e-12)
 
 
 def steady(seconds: float, fps: float, seed: int = 3):

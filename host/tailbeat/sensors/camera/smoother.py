@@ -1,0 +1,216 @@
+"""A Kalman filter and smoother over positions along the swim direction, and its likeliest model.
+
+What is seen is the fish's way, noise that is correlated in time, and white noise:
+
+* the way: place, speed, acceleration (a Wiener process, spectral density ``jerk`` squared) and two
+  oscillators at once and twice the beat's frequency, each [in phase, in quadrature], stationary
+  with standard deviations ``ripple`` and ``second`` and a correlation time of CORRELATION_BEATS;
+* the drift: a first-order Gauss-Markov process of standard deviation ``drift`` and correlation
+  time ``drift_s``: pixels, compression, blur, a lens that is not quite as calibrated.
+
+Everything is in units of the white noise: it divides out, and its size follows from the
+innovations. The sizes are those of the largest posterior density: the priors say that a position's
+noise has a correlated part nearly as large as the white one, which a film of half a minute cannot
+exclude; without it, sigmas were half of the errors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from tailbeat.core.arrays import F64
+
+CORRELATION_BEATS = 4.0
+STATES = 8
+_FIRST, _SECOND, _DRIFT = 3, 5, 7
+# Of the states: what is in a position, and the way that the fish makes from beat to beat. Its
+# surge, which comes back with every beat, adds nothing to that; but waves that bend the light over
+# the marker are taken for surge.
+SEEN_AS = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0])
+WAY_AS = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+# Before the first picture: anywhere (in units of the noise), at any speed of a fish.
+_WAY_SPREAD, _SPEED_SPREAD, _RISE_SPREAD = 1e6, 1e3, 1e3
+
+
+@dataclass(frozen=True)
+class Models:
+    """Parameters in units of the white noise, (n,): ``jerk`` in 1/s^2.5; ``ripple``, ``second``
+    and ``drift`` as lengths; ``drift_s`` in s."""
+
+    jerk: F64
+    ripple: F64
+    second: F64
+    drift: F64
+    drift_s: F64
+
+    def oscillators(self, beat_s: float) -> tuple[tuple[int, F64, float], ...]:
+        """First state, size and frequency of each."""
+        return (_FIRST, self.ripple, 1 / beat_s), (_SECOND, self.second, 2 / beat_s)
+
+
+def steps(dt_s: F64, beat_s: float, by: Models) -> tuple[F64, F64]:
+    """Transitions and process noise over times (m,), shape (m, n, 8, 8) each."""
+    shape = len(dt_s), len(by.jerk), STATES, STATES
+    move, noise = np.zeros(shape), np.zeros(shape)
+    d = dt_s[:, None]
+    move[:, :, [0, 1, 2], [0, 1, 2]] = 1.0
+    move[:, :, 0, 1] = move[:, :, 1, 2] = d
+    move[:, :, 0, 2] = d**2 / 2
+    wiener = np.array(
+        [[d**5 / 20, d**4 / 8, d**3 / 6], [d**4 / 8, d**3 / 3, d**2 / 2], [d**3 / 6, d**2 / 2, d]]
+    )
+    noise[:, :, :3, :3] = by.jerk[:, None, None] ** 2 * wiener.transpose(2, 3, 0, 1)
+    kept = np.exp(-d / (CORRELATION_BEATS * beat_s))
+    for at, size, hz in by.oscillators(beat_s):
+        angle = 2 * np.pi * hz * d
+        move[:, :, at, at] = move[:, :, at + 1, at + 1] = kept * np.cos(angle)
+        move[:, :, at, at + 1] = kept * np.sin(angle)
+        move[:, :, at + 1, at] = -move[:, :, at, at + 1]
+        noise[:, :, at, at] = noise[:, :, at + 1, at + 1] = size**2 * (1 - kept**2)
+    kept = np.exp(-d / by.drift_s)
+    move[:, :, _DRIFT, _DRIFT] = kept
+    noise[:, :, _DRIFT, _DRIFT] = by.drift**2 * (1 - kept**2)
+    return move, noise
+
+
+def prior(beat_s: float, by: Models, first: float) -> tuple[F64, F64]:
+    """Mean (n, 8) and covariance (n, 8, 8) at the first node."""
+    count = len(by.jerk)
+    mean = np.zeros((count, STATES))
+    mean[:, 0] = first
+    cov = np.zeros((count, STATES, STATES))
+    for at, spread in enumerate((_WAY_SPREAD, _SPEED_SPREAD, _RISE_SPREAD)):
+        cov[:, at, at] = spread**2
+    for at, size, _ in by.oscillators(beat_s):
+        cov[:, at, at] = cov[:, at + 1, at + 1] = size**2
+    cov[:, _DRIFT, _DRIFT] = by.drift**2
+    return mean, cov
+
+
+@dataclass(frozen=True)
+class Forward:
+    """A filter pass: innovation^2/variance and log variance summed over what was seen, shape (n,).
+    ``nodes``, of one model: mean and covariance of each node as predicted, and as filtered;
+    ``moves`` (nodes - 1, 8, 8) between them."""
+
+    chi2: F64
+    log_variance: F64
+    count: int
+    nodes: tuple[F64, ...]
+    moves: F64
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """Shape (nodes, 8), (nodes, 8, 8); ``gain[k]`` (8, 8) takes node k+1's smoothing back to k."""
+
+    mean: F64
+    cov: F64
+    gain: F64
+
+
+def forward(t_s: F64, way: F64, beat_s: float, by: Models, keep: bool) -> Forward:
+    """Filters nodes at rising ``t_s``, shape (nodes,); ``way`` NaN = nothing seen there."""
+    lengths, which = np.unique(np.rint(np.diff(t_s) * 1e6), return_inverse=True)
+    moves, noises = steps(lengths * 1e-6, beat_s, by)
+    back = np.ascontiguousarray(moves.transpose(0, 1, 3, 2))
+    mean, cov = prior(beat_s, by, float(way[np.isfinite(way)][0]))
+    chi2, log_variance, count = np.zeros(len(by.jerk)), np.zeros(len(by.jerk)), 0
+    nodes: list[tuple[F64, ...]] = []
+    for k in range(len(t_s)):
+        if k:
+            at = which[k - 1]
+            mean = (moves[at] @ mean[:, :, None])[:, :, 0]
+            cov = moves[at] @ cov @ back[at] + noises[at]
+        predicted = mean, cov
+        if np.isfinite(way[k]):
+            across = cov @ SEEN_AS
+            variance = across @ SEEN_AS + 1.0
+            missed = way[k] - mean @ SEEN_AS
+            gain = across / variance[:, None]
+            mean = mean + gain * missed[:, None]
+            cov = cov - gain[:, :, None] * across[:, None, :]
+            if count:  # the first only says where the way begins
+                chi2 += missed**2 / variance
+                log_variance += np.log(variance)
+            count += 1
+        if keep:
+            nodes.append(tuple(part[0] for part in (*predicted, mean, cov)))
+    kept = tuple(map(np.array, zip(*nodes, strict=True)))
+    return Forward(chi2, log_variance, count - 1, kept, moves[which, 0] if keep else moves[:0, 0])
+
+
+def smooth(done: Forward) -> Smoothed:
+    """Rauch, Tung and Striebel's pass over a kept filter pass, in its arrays."""
+    predicted, predicted_cov, mean, cov = done.nodes
+    crossed = cov[:-1] @ done.moves.transpose(0, 2, 1)
+    gain = np.linalg.solve(predicted_cov[1:], crossed.transpose(0, 2, 1)).transpose(0, 2, 1)
+    for k in range(len(mean) - 2, -1, -1):
+        mean[k] += gain[k] @ (mean[k + 1] - predicted[k + 1])
+        cov[k] += gain[k] @ (cov[k + 1] - predicted_cov[k + 1]) @ gain[k].T
+    return Smoothed(mean, cov, np.asarray(gain, np.float64))
+
+
+_TUNING_PICTURES = 1500
+_NOISE_MIN_M = 1e-6  # places of drawn or frozen pictures are exactly equal
+# Of the fields of Models; in units of the noise, of a tenth to one millimetre.
+_LIMITS = np.log([(1e-2, 1e4), (1e-3, 30), (1e-3, 30), (1e-3, 30), (0.06, 1.0)])
+# The middle and the spread of what is expected of drift and drift_s.
+_DRIFT_EXPECTED, _DRIFT_SPREAD = np.log([0.7, 0.2]), 0.5
+_JERKS, _DRIFTS, _RIPPLES = (3.0, 30.0, 300.0), (0.2, 1.0), (0.1, 1.0, 4.0)
+_STEP = 1e-3
+_ITERATIONS = 40
+
+
+def likeliest(
+    t_s: F64, way_m: F64, beat_s: float, begin: F64 | None = None
+) -> tuple[Models, float, F64]:
+    """Of ways at rising times, shape (pictures,): the model (one), the white noise in metres, 1e-6
+    or more, and the row of logarithms, which may be the next search's ``begin``. The noise divides
+    out (concentrated likelihood); its first guess only sets the scale."""
+    stride = -(-len(t_s) // _TUNING_PICTURES)
+    t_s, way_m = t_s[::stride], way_m[::stride]
+    unit_m = _rough_noise_m(way_m)
+
+    def noise_and_loss(rows: F64) -> tuple[F64, F64]:
+        done = forward(t_s, way_m / unit_m, beat_s, Models(*np.exp(rows).T), keep=False)
+        variance = done.chi2 / max(done.count, 1)
+        noise = np.maximum(variance, (_NOISE_MIN_M / unit_m) ** 2)
+        fit = done.count * (np.log(noise) + variance / noise) + done.log_variance
+        off = (rows[:, 3:] - _DRIFT_EXPECTED) / _DRIFT_SPREAD
+        return np.sqrt(noise), (fit + (off**2).sum(axis=1)) / 2
+
+    if begin is None:
+        begins = [(j, r, r, d, 0.2) for j, d, r in product(_JERKS, _DRIFTS, _RIPPLES)]
+        rows = np.log(begins)
+        begin = rows[np.argmin(noise_and_loss(rows)[1])]
+    row = _descend(lambda rows: noise_and_loss(rows)[1], begin)
+    noise, _ = noise_and_loss(row[None])
+    return Models(*np.exp(row[None]).T), unit_m * float(noise[0]), row
+
+
+def _descend(loss: Callable[[F64], F64], begin: F64) -> F64:
+    """The row of logarithms with the least ``loss``, which takes several at a time."""
+    from scipy.optimize import minimize
+
+    def with_slope(at: F64) -> tuple[float, F64]:
+        values = loss(np.vstack([at, at + _STEP * np.eye(len(at))]))
+        return float(values[0]), (values[1:] - values[0]) / _STEP
+
+    found = minimize(
+        with_slope, np.clip(begin, *_LIMITS.T), jac=True, method="L-BFGS-B", bounds=_LIMITS,
+        options={"maxiter": _ITERATIONS, "ftol": 3e-7},
+    )  # fmt: skip
+    return np.asarray(found.x)
+
+
+def _rough_noise_m(way_m: F64) -> float:
+    """From third differences, to which a swimming fish adds little."""
+    third = np.diff(way_m, 3)
+    rough = float(np.median(np.abs(third))) / 0.6745 / math.sqrt(20.0) if len(third) else 0.0
+    return max(rough, 1e-5)
