@@ -49,6 +49,7 @@ from tailbeat.sensors.camera.marker.tags import TagKind
 from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.source.open import SourceOptions, open_source, read_all, read_grey
 from tailbeat.sensors.camera.source.picture import PictureSource
+from tailbeat.sensors.camera.tracking.positions import read_positions
 from tailbeat.sensors.camera.tracking.track import Progress
 
 _SIZE_MIN_PX, _SIZE_MAX_PX = 64, 8192
@@ -128,12 +129,19 @@ def track(
     overlay: bool = opt("Film of what was seen, as overlay.mp4."),
     plot: bool = opt("Way and speed as track.png."),
     seconds: float | None = opt("So long, then end; a device: 60.", "N"),
+    positions: Path | None = opt(
+        "Positions that DeepLabCut, SLEAP, TRex, idtracker.ai or Tracker found in this film.", "CSV"
+    ),
+    point: str | None = opt("The point of --positions to follow.", "NAME"),
+    head: str | None = opt("A point ahead of it, for the heading.", "NAME"),
+    cm_per_pixel: float | None = opt("TRex's scale.", "X", min=1e-6),
 ) -> Output:
     """Find the fish in a film, and its speed with error bars.
 
     With --trial the film is synchronised with the trial, by the board's LED if it is in view,
     otherwise by the fish's yaw oscillation. A film of another trial is refused (by the yaw only
-    when its amplitudes were others). The results are complete or not there at all.
+    when its amplitudes were others). The results are complete or not there at all. With
+    --positions no marker is looked for: another program has tracked the fish in this film.
 
     Example: tailbeat camera track swim7.mp4 --trial 0007.ulg --plot
     """
@@ -145,6 +153,9 @@ def track(
     known = marker.calibration or _calibration()
     log = read_trial(trial) if trial is not None else None
     folder = out or _folder(source)
+    if positions is None and (point, head, cm_per_pixel) != (None, None, None):
+        raise typer.BadParameter("--point, --head and --cm-per-pixel go with --positions")
+    table = read_positions(positions, point, head, cm_per_pixel) if positions is not None else None
     options = SourceOptions(known.size_px, marker.latency)
     with (
         closing(open_source(source, options, seconds)) as pictures,
@@ -155,7 +166,7 @@ def track(
         progress_bar("tracking") as show,
     ):
         progress = _progress(show, pictures, seconds)
-        found = analyse(pictures, on_fish, known, log, start, beat, progress, film)
+        found = analyse(pictures, on_fish, known, log, start, beat, progress, film, table)
         if plot:
             draw_track(found.track, found.curve, part / "track.png", known)
         write_analysis(found, part)

@@ -30,6 +30,7 @@ from tailbeat.sensors.camera.source.film import FilmWriter
 from tailbeat.sensors.camera.source.picture import Image, PictureSource, TimedImage
 from tailbeat.sensors.camera.speed import SpeedCurve, swim_speed, write_speeds
 from tailbeat.sensors.camera.sync import Sync, sync, sync_by_led
+from tailbeat.sensors.camera.tracking.positions import Positions
 from tailbeat.sensors.camera.tracking.track import (
     BRIDGED,
     LOST,
@@ -70,7 +71,9 @@ class FilmAnalysis:
             beats = self.trial.executed_beats
         else:
             beats = int((float(self.track.t_s[-1]) - begin_s) / beat_s)
-        seen = self.track.seen()
+        seen = self.track.seen() & np.isfinite(self.track.heading_rad)
+        if not seen.any():
+            return None
         rows = zip(
             self.track.t_s[seen], self.track.x_m[seen], self.track.y_m[seen],
             self.track.heading_rad[seen], strict=True,
@@ -130,14 +133,15 @@ def analyse(
     beat_s: float = 1.0,
     progress: Progress | None = None,
     on_place: Callable[..., None] | None = None,
+    positions: Positions | None = None,
 ) -> FilmAnalysis:
     """All of ``source``: track, begin of the trial (``start_s`` if given, else by LED or yaw when
     there is a trial) and speed, whose sigma holds the calibration's and, with a trial, that of the
-    begin. ``beat_s`` counts without a trial only.
+    begin. ``beat_s`` counts without a trial only. ``positions``: as track().
 
     Raises InputError: what track, sync (WrongPair) and swim_speed raise.
     """
-    seen = track(source, marker, calibration, start_s is None, progress, on_place)
+    seen = track(source, marker, calibration, start_s is None, progress, on_place, positions)
     found = begin_of(seen, trial, start_s)
     if trial is None:
         curve = swim_speed(seen, beat_s, start_s)
@@ -162,6 +166,11 @@ def begin_of(seen: Track, trial: Trial | None, start_s: float | None = None) -> 
             )
         return Sync(start_s, 0.5 / seen.fps / math.sqrt(3), "given", None, 1.0)
     if trial is not None:
+        if not np.isfinite(seen.heading_rad).any():
+            raise InputError(
+                f"the positions in {seen.name} have no heading, and the trial's begin is not known",
+                "Name a point ahead of the fish's middle, --head NAME, or give the begin: --start.",
+            )
         if trial.executed_beats == 0:
             raise InputError(
                 f"trial {trial.number} has no executed beat", "Give the film's own trial."

@@ -19,6 +19,7 @@ from tailbeat.core import reference
 from tailbeat.core.csv import read_speeds
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera import film_to_speed
+from tailbeat.sensors.camera.calibration.file import load_calibration
 from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.source.film import Film
 from tailbeat.sensors.camera.source.open import Beginning
@@ -109,6 +110,33 @@ def test_from_film_and_trial_to_speeds(
     np.testing.assert_allclose(speed, film.true_speed_m_s[:BEATS], atol=SPEED_MAX_M_S)
     uploaded = read_speeds(out / "speed.csv", BEATS, film.beat_s, film.trial)
     np.testing.assert_allclose(uploaded.speed_m_s, speed, atol=1e-5)
+
+
+def test_positions_tracked_elsewhere_are_synchronised_by_the_led(
+    film: Exercise, whole: list[Track], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A table of DeepLabCut, of the places that the host tool found itself."""
+    track_rows, known = whole[0], load_calibration(film.calibration)
+    seen = track_rows.seen()
+    back = np.column_stack([track_rows.x_m, track_rows.y_m])[seen]
+    heading = track_rows.heading_rad[seen]
+    ahead = back + 0.05 * np.column_stack([np.cos(heading), np.sin(heading)])
+    lines = ["scorer" + ",DLC" * 6, "bodyparts" + ",snout" * 3 + ",back" * 3]
+    lines += ["coords" + ",x,y,likelihood" * 2]
+    pixels = zip(known.to_pixels(ahead), known.to_pixels(back), strict=True)
+    lines += [f"{k},{h[0]},{h[1]},1,{b[0]},{b[1]},1" for k, (h, b) in enumerate(pixels)]
+    table = tmp_path / "swimDLC.csv"
+    table.write_text("\n".join(lines))
+    more = ("--positions", str(table), "--point", "back", "--head", "snout", "--json")
+    assert track(film, tmp_path / "swim", "--trial", str(film.trial_file), *more) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["sync"]["how"] == "led"
+    assert abs(summary["sync"]["start_s"] - film.swim_begin_s) <= SYNC_MAX_S
+    speed = np.array([float(row["speed_m_s"]) for row in rows(tmp_path / "swim" / "beats.csv")])
+    np.testing.assert_allclose(speed, film.true_speed_m_s[:BEATS], atol=SPEED_MAX_M_S)
+    blind = [part for part in more if part not in ("--head", "snout", "--json")]
+    assert track(film, tmp_path / "other", "--trial", str(film.trial_file), *blind) == 1
+    assert "have no heading, and the trial's begin is not known" in capsys.readouterr().err
 
 
 def test_text_says_what_to_do_next(

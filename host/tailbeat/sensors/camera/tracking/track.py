@@ -18,6 +18,7 @@ from tailbeat.core.files import write_whole
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.detector import KINDS, MARKERS, Marker
 from tailbeat.sensors.camera.source.picture import PictureSource
+from tailbeat.sensors.camera.tracking.positions import Positions, PositionTracker
 from tailbeat.sensors.camera.tracking.tracker import PATCH_SHAPE, LedPatch, TrackedImage, Tracker
 
 SEEN, BRIDGED, LOST = 0, 1, 2
@@ -72,15 +73,21 @@ def track(
     patch: bool = False,
     progress: Progress | None = None,
     on_place: Callable[..., None] | None = None,
+    positions: Positions | None = None,
 ) -> Track:
     """All of ``source``, to its end, or to where it has nothing for now (virtual time).
-    ``on_place(picture, place)`` sees each (an overlay).
+    ``on_place(picture, place)`` sees each (an overlay). ``positions``: what another program has
+    tracked in this film; then no marker is looked for.
 
-    Raises InputError: no picture, never a marker, what Tracker.look raises, and what the source
+    Raises InputError: no picture, never a fish, what Tracker.look raises, and what the source
     raises: there is no track of a film that is damaged further on.
     """
-    tracker = Tracker(marker, calibration, source.name, patch)
     expected = source.pictures
+    tracker: Tracker | PositionTracker = (
+        Tracker(marker, calibration, source.name, patch)
+        if positions is None
+        else PositionTracker(positions, calibration, source.name, expected, patch)
+    )
     places: list[TrackedImage] = []
     while (picture := source.read()) is not None:
         place = tracker.look(picture)
@@ -93,7 +100,12 @@ def track(
     if not places:
         raise InputError(f"{source.name} holds no picture.", "Give a film of a trial.")
     if all(place.frame is None for place in places):
-        raise _no_marker(source.name, marker, len(places), tracker.other_ids)
+        if positions is not None:
+            raise InputError(
+                f"{positions.name} has no position for any picture of {source.name}",
+                "Give the film in which they were tracked; its pictures count from 0.",
+            )
+        raise _no_marker(source.name, marker, len(places), list(tracker.other_ids))
     return replace(track_of(places, source.name), marker_side_m=tracker.measured_side_m)
 
 
