@@ -28,7 +28,13 @@ from tailbeat.sensors.camera.marker.detector import Marker
 from tailbeat.sensors.camera.marker.tags import Detection
 from tailbeat.sensors.camera.source.film import FilmWriter
 from tailbeat.sensors.camera.source.picture import Image, PictureSource, TimedImage
-from tailbeat.sensors.camera.speed import SpeedCurve, swim_speed, write_speeds
+from tailbeat.sensors.camera.speed import (
+    SpeedCurve,
+    check_times,
+    swim_direction_rad,
+    swim_speed,
+    write_speeds,
+)
 from tailbeat.sensors.camera.sync import Sync, sync, sync_by_led
 from tailbeat.sensors.camera.tracking.positions import Positions
 from tailbeat.sensors.camera.tracking.track import (
@@ -142,7 +148,11 @@ def analyse(
     Raises InputError: what track, sync (WrongPair) and swim_speed raise.
     """
     seen = track(source, marker, calibration, start_s is None, progress, on_place, positions)
-    found = begin_of(seen, trial, start_s)
+    try:
+        found = begin_of(seen, trial, start_s)
+    except InputError:
+        check_times(seen, swim_direction_rad(seen))  # with wrong times no LED can be read, either
+        raise
     if trial is None:
         curve = swim_speed(seen, beat_s, start_s)
     else:

@@ -115,16 +115,17 @@ def swim_speed(
     timing/sync.py) and had so many ``beats`` only from three beats before it to three after it.
 
     ``start_s`` None = the first row's; ``direction_rad`` None = swim_direction_rad. Takes 1 s for
-    40 s of film. Raises InputError when fewer than two beats were seen, and what
-    check_stamps raises."""
+    40 s of film. Raises InputError when fewer than two beats were seen, and what check_times
+    raises."""
     begin_s = float(track.t_s[0]) if start_s is None else start_s
     if start_s is not None and beats is not None:
         track = _cut(track, begin_s - 3 * beat_s, begin_s + (beats + 3) * beat_s)
     seen = _seen(track)
     if direction_rad is None:
         direction_rad = swim_direction_rad(track, beat_s)
-    way = track.x_m[seen] * math.cos(direction_rad) + track.y_m[seen] * math.sin(direction_rad)
-    check_stamps(track.t_s[seen], way, track.name or "the film")
+    end_s = begin_s + (beats * beat_s if beats is not None else math.inf)
+    check_times(track, direction_rad, begin_s, end_s)
+    way = _way(track, direction_rad)[seen]
     pieces = [
         piece
         for piece in _unbroken(track.t_s[seen], way)
@@ -140,6 +141,20 @@ def swim_speed(
     *columns, outliers = zip(*curves, strict=True)
     t_s, v_m_s, sigma_m_s = map(np.concatenate, columns)
     return SpeedCurve(t_s, v_m_s, sigma_m_s, beat_s, begin_s, direction_rad, noise_m, sum(outliers))
+
+
+def check_times(
+    track: Track, direction_rad: float, begin_s: float = -math.inf, end_s: float = math.inf
+) -> None:
+    """Raises InputError when pictures are missing from ``begin_s`` to ``end_s`` that the time
+    stamps do not show (tracking/stamps.py). Before and after a trial there may be hands."""
+    inside = _seen(track) & (track.t_s >= begin_s) & (track.t_s <= end_s)
+    way = _way(track, direction_rad)[inside]
+    check_stamps(track.t_s[inside], way, track.name or "the film")
+
+
+def _way(track: Track, direction_rad: float) -> F64:
+    return track.x_m * math.cos(direction_rad) + track.y_m * math.sin(direction_rad)
 
 
 def _seen(track: Track) -> NDArray[np.bool_]:

@@ -143,6 +143,24 @@ def test_a_restamped_film_with_missing_pictures_is_refused(seed: int) -> None:
         swim_speed(seen(swim, by), 1.0, 0.0, beats=24)
 
 
+def test_hands_before_and_after_the_trial_do_not_matter() -> None:
+    """A fish that is put down in jumps before it swims, and is taken out afterwards."""
+    swim = Swim(2, lead_s=4.0, coast_s=4.0)
+    track = seen(swim, Filming(seed=2))
+    before, after = track.t_s < -1.0, track.t_s > 25.5
+    x_m = track.x_m.copy()
+    random = np.random.default_rng(3)
+    for part in (before, after):
+        x_m[part] += np.cumsum(0.004 + 0.004 * (random.random(part.sum()) < 0.2))
+    x_m[before] -= x_m[before][-1]
+    shaken = replace(track, x_m=x_m)
+    with pytest.raises(InputError, match="lacks pictures"):
+        check_stamps(shaken.t_s, shaken.x_m, "swim.mp4")  # as if it were all of the swim
+    curve = swim_speed(shaken, 1.0, 0.0, beats=24)
+    error = curve.beats(24)[0] - swim.true_beats(curve.direction_rad)
+    assert np.sqrt(np.mean(error[1:-1] ** 2)) < 0.8e-3
+
+
 @pytest.mark.parametrize(
     "honest",
     [{}, {"lost": 0.05}, {"lost": 0.3}, {"jitter_s": 0.005}, {"jitter_s": 0.012, "lost": 0.05}],

@@ -16,7 +16,8 @@ HOLES_MIN = 3
 _NEIGHBOURS = 11  # steps among which the usual one is looked for
 _CLEAR = 5.0  # standard deviations of a step, that one picture's way is longer than
 _WHOLE = 0.35  # how far a step may be from a whole number of pictures
-_PICTURES_MAX = 8  # that a hole may lack; more is a fish that was carried
+_PICTURES_MAX = 8  # that a hole may lack
+_FISH_M_S = 0.3  # what is faster is carried
 _BACKWARD = 4  # as many times as there are steps that are too short
 
 
@@ -57,7 +58,8 @@ def _holes(t_s: F64, way_m: F64) -> tuple[int, int, int]:
     usual_m_s = np.median(around, axis=1)
     excess_m, picture_m = step_m - usual_m_s * dt_s, usual_m_s * np.median(dt_s)
     sigma_m = 1.4826 * float(np.median(np.abs(excess_m)))
-    clear = np.abs(picture_m) > max(_CLEAR * sigma_m, 1e-9)
+    swims = np.abs(usual_m_s) < _FISH_M_S
+    clear = swims & (np.abs(picture_m) > max(_CLEAR * sigma_m, 1e-9))
     pictures = excess_m[clear] / picture_m[clear]
     whole = np.rint(pictures)
     exact = (np.abs(pictures - whole) < _WHOLE) & (np.abs(whole) <= _PICTURES_MAX)
