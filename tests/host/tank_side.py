@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from tailbeat.board.fish import Fish
-from tailbeat.core.frames import CameraGone, Frame
+from tailbeat.core.speed_source import CameraGone, Frame
 from tailbeat.session.events import Event, Notice, StepProgress
 from tailbeat.session.outcome import Decision, RecordedTrial
 

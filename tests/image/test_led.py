@@ -13,8 +13,8 @@ import pytest
 from tailbeat.board.connect import hear_board
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
-from tailbeat.core.frames import Frame
 from tailbeat.core.native import lib
+from tailbeat.core.speed_source import Frame
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.emulated import EmulatedBoard

@@ -19,9 +19,8 @@ from tailbeat.core import speed_source
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.files import replacing_text
-from tailbeat.core.frames import Frame
 from tailbeat.core.reference import Reference
-from tailbeat.core.speed_source import source_number
+from tailbeat.core.speed_source import Frame, source_number
 from tailbeat.core.trial_file import read_trial
 from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.sensors.camera.render.painter import Painter

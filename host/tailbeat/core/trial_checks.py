@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F32, F64
-from tailbeat.core.frames import Frame
 from tailbeat.core.native import ffi, lib
+from tailbeat.core.speed_source import Frame
 from tailbeat.core.trial_file import SLOT_S, Trial
 
 

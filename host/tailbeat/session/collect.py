@@ -17,8 +17,7 @@ import numpy as np
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.faults import ABORT_COMMAND, REBOOT, TILT, WALL, FaultInfo, fault_info
-from tailbeat.core.frames import Camera, Frame
-from tailbeat.core.speed_source import speed_source
+from tailbeat.core.speed_source import Camera, Frame, speed_source
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift, heading_drift_of_frames
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.folder import Experiment

@@ -16,9 +16,8 @@ from tailbeat.board.diagnostics.evidence import PROBLEM
 from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import require_idle, restore_interrupted
 from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
-from tailbeat.core.frames import Camera
 from tailbeat.core.reference import Reference, ReferenceLimits
-from tailbeat.core.speed_source import SpeedSource, speed_source
+from tailbeat.core.speed_source import Camera, SpeedSource, speed_source
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save

@@ -17,8 +17,8 @@ from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import preserved
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import TailbeatError
-from tailbeat.core.frames import Camera
 from tailbeat.core.reference import Reference
+from tailbeat.core.speed_source import Camera
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.library import RUN, library_of, preserve_folder

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
-from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
+from tailbeat.core.speed_source import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.link.messages import BeatEvent
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.session.outcome import BY_HAND, StopKind, StopReason

@@ -15,8 +15,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import PreservedBoard, preserved
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
-from tailbeat.core.frames import Camera
-from tailbeat.core.speed_source import SpeedSource
+from tailbeat.core.speed_source import Camera, SpeedSource
 from tailbeat.experiment.current import set_and_save
 from tailbeat.learning.fish_model import FishModel, TrialSpeeds, trial_speeds
 from tailbeat.learning.fit import Prior

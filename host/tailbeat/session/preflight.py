@@ -17,7 +17,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import BATTERY_SENSE, TRIAL_PENDING, fault_info
-from tailbeat.core.frames import Camera, Frame
+from tailbeat.core.speed_source import Camera, Frame
 from tailbeat.core.trial_file import parse_trial
 from tailbeat.experiment.library import library_of
 from tailbeat.link.ftp.wire import FtpError

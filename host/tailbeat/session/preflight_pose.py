@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import IMU_STARTING
-from tailbeat.core.frames import Camera, CameraGone, Frame
+from tailbeat.core.speed_source import Camera, CameraGone, Frame
 from tailbeat.link.mavlink import Message
 from tailbeat.sensors.camera.tracking.tracker import RepeatFilter
 from tailbeat.session.guards import JumpFilter

@@ -12,8 +12,8 @@ from tailbeat.board.snapshot import Differences, Snapshot
 from tailbeat.board.snapshot import restore_params as set_params
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.faults import NO_BEST, refusal
-from tailbeat.core.frames import Camera
 from tailbeat.core.records import decode_learned, record_crc
+from tailbeat.core.speed_source import Camera
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import note_restored, reference_of, strayed, use
 from tailbeat.experiment.folder import Experiment, copy_state, expected_params, held_state

@@ -9,7 +9,7 @@ from datetime import datetime, timedelta
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.faults import ABORT_COMMAND, BATTERY_CRITICAL, BATTERY_LOW, REBOOT, fault_info
-from tailbeat.core.frames import Camera
+from tailbeat.core.speed_source import Camera
 from tailbeat.experiment.current import require_expected, require_own, require_same
 from tailbeat.experiment.folder import Experiment, alone, copy_state, require_not_lost
 from tailbeat.experiment.library import library_of

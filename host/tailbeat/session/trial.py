@@ -10,8 +10,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import ConnectError, LinkLostError, Refused, TailbeatError
 from tailbeat.core.faults import NOT_STILL, STALE_COMMAND
-from tailbeat.core.frames import Camera, TrackReset, Unseen
-from tailbeat.core.speed_source import SpeedSource, source_info
+from tailbeat.core.speed_source import Camera, SpeedSource, TrackReset, Unseen, source_info
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Message, text_of
 from tailbeat.link.messages import BeatEvent, BoardStatus, TrialOutcome

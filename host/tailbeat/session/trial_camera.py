@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import ConnectError, LinkLostError
 from tailbeat.core.files import MAKE_ROOM, write_whole
-from tailbeat.core.frames import Camera, CameraGone, Frame, TrackReset, Unseen
+from tailbeat.core.speed_source import Camera, CameraGone, Frame, TrackReset, Unseen
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.folder import Experiment
 from tailbeat.link import _dialect as mavlink

@@ -14,7 +14,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import PreservedBoard, preserved
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
-from tailbeat.core.frames import Camera, Frame
+from tailbeat.core.speed_source import Camera, Frame
 from tailbeat.core.trial_checks import (
     HeadingTrace,
     heading_trace,

@@ -12,7 +12,7 @@ from littlefs import LittleFS, UserContext
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import ConnectError, LinkLostError, Refused, TailbeatError, TransferError
-from tailbeat.core.frames import Frame
+from tailbeat.core.speed_source import Frame
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.messages import BeatEvent

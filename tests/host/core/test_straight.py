@@ -13,8 +13,8 @@ import pytest
 
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
-from tailbeat.core.frames import Frame
 from tailbeat.core.reference import thesis
+from tailbeat.core.speed_source import Frame
 from tailbeat.core.trial_checks import (
     CROOKED_RAD,
     HeadingDrift,

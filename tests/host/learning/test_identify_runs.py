@@ -25,8 +25,8 @@ from tailbeat.board.snapshot import Snapshot
 from tailbeat.core import reference
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
-from tailbeat.core.frames import Frame
 from tailbeat.core.records import record_crc
+from tailbeat.core.speed_source import Frame
 from tailbeat.learning.error_bound_solve import plant_beats, plant_config
 from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.fit import Prior

@@ -14,7 +14,7 @@ import pytest
 from tailbeat.board import connect
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError
-from tailbeat.core.frames import CameraGone
+from tailbeat.core.speed_source import CameraGone
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.sockets import TcpTransport
 from tailbeat.link.transport import Transport

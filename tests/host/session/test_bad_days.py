@@ -30,7 +30,7 @@ from tailbeat.app.cli._operator import TerminalOperator
 from tailbeat.app.cli.app import app
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
-from tailbeat.core.frames import CameraGone, Frame
+from tailbeat.core.speed_source import CameraGone, Frame
 from tailbeat.experiment.current import begin, set_and_save
 from tailbeat.experiment.folder import Experiment
 from tailbeat.sensors.camera.render.source import SimulatedCamera

@@ -20,7 +20,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import reference
 from tailbeat.core.arrays import F32
 from tailbeat.core.errors import Refused
-from tailbeat.core.frames import Frame
+from tailbeat.core.speed_source import Frame
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import LearnReport

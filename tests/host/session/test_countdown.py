@@ -14,7 +14,7 @@ import pytest
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import InputError, LinkLostError, Refused
-from tailbeat.core.frames import Frame
+from tailbeat.core.speed_source import Frame
 from tailbeat.link import _dialect as mavlink
 from tailbeat.sensors.camera.led import read_led
 from tailbeat.sensors.camera.render.source import SimulatedCamera

@@ -20,7 +20,8 @@ from tailbeat.studies.montecarlo import learners
 from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.cell import cells, run_cell
 from tailbeat.studies.montecarlo.recipe import ClaimSpec, SimSettings, load, parse, parse_lengths
-from tailbeat.studies.montecarlo.summary import Rows, judge, summarise
+from tailbeat.studies.montecarlo.results import Rows
+from tailbeat.studies.montecarlo.summary import judge, summarise
 
 
 class PastKind(NamedTuple):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tailbeat.board.fish import Fish
-from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.core.reference import Reference, cosine, thesis
+from tailbeat.core.speed_source import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.guards import DistanceGuard, FrameRecorder, all_guards, guards_of, stop_when
 from tailbeat.session.outcome import BY_HAND, StopKind, StopReason

@@ -13,7 +13,7 @@ import pytest
 
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, LinkLostError, Refused
-from tailbeat.core.frames import CameraGone, Frame
+from tailbeat.core.speed_source import CameraGone, Frame
 from tailbeat.link import _dialect as mavlink
 from tailbeat.session.events import Event, StepProgress
 from tailbeat.session.outcome import StopKind, StopReason

@@ -15,7 +15,7 @@ import pytest
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import InputError, Refused, TailbeatError
-from tailbeat.core.frames import CameraGone, Frame
+from tailbeat.core.speed_source import CameraGone, Frame
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import begin, note_set
 from tailbeat.experiment.folder import Experiment

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import pytest
 
-from tailbeat.core.frames import CameraGone
+from tailbeat.core.speed_source import CameraGone
 from tailbeat.session.trial import _reset_track, _Run
 from tailbeat.session.trial_camera import TrialCamera
 

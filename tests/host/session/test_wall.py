@@ -10,8 +10,8 @@ import pytest
 
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
-from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.core.reference import thesis
+from tailbeat.core.speed_source import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.core.trial_file import read_trial
 from tailbeat.link.messages import BeatEvent
 from tailbeat.sensors.camera.calibration.file import Calibration

@@ -15,8 +15,8 @@ from tailbeat.app.cli._terminal import warn
 from tailbeat.board.connect import tcp_address
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError
-from tailbeat.core.frames import Camera
 from tailbeat.core.records import decode_reference
+from tailbeat.core.speed_source import Camera
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.library import identified_if_readable, library_of
 from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration

@@ -21,9 +21,8 @@ from tailbeat.board.fish import Fish, board_reference
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.csv import read_speeds
 from tailbeat.core.errors import InputError
-from tailbeat.core.frames import Camera
 from tailbeat.core.printable import mm
-from tailbeat.core.speed_source import speed_source
+from tailbeat.core.speed_source import Camera, speed_source
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import RUN, TrialLibrary, library_of, preserve_folder
 from tailbeat.learning.fit_quality import NAMES, Account, account_of, from_trials, with_drag

@@ -15,7 +15,7 @@ from tailbeat.app.web.server import listen, serve
 from tailbeat.app.web.worker import Worker, simulated_camera
 from tailbeat.board.connect import open_transport
 from tailbeat.board.fish import Fish
-from tailbeat.core.frames import Camera
+from tailbeat.core.speed_source import Camera
 from tailbeat.session.guards import Guard
 from tailbeat.sim.board import in_process
 from tailbeat.sim.server import SimServer

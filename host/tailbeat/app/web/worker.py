@@ -23,9 +23,9 @@ from tailbeat.app.web.view import PageState, Phase, Screen
 from tailbeat.board.fish import Fish
 from tailbeat.board.provision import connect_notice
 from tailbeat.core.errors import ConnectError, LinkLostError, TailbeatError
-from tailbeat.core.frames import Camera
 from tailbeat.core.records import decode_reference
 from tailbeat.core.reference import Reference
+from tailbeat.core.speed_source import Camera
 from tailbeat.experiment.library import library_of
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import BeatEvent, BoardStatus, LearnReport, imu_health

@@ -19,7 +19,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.csv import table_text
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import plain, replace_file
-from tailbeat.core.frames import Frame
+from tailbeat.core.speed_source import Frame
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift_of_frames
 from tailbeat.core.trial_file import Trial
 from tailbeat.sensors.camera import cv2, require_cv2

@@ -24,11 +24,11 @@ from tailbeat.sensors.camera.smoother import (
     WAY_AS,
     Models,
     Smoothed,
+    check_stamps,
     forward,
     likeliest,
     smooth,
 )
-from tailbeat.sensors.camera.tracking.stamps import check_stamps
 from tailbeat.sensors.camera.tracking.track import BRIDGED_IN_A_ROW_MAX, Track
 
 COVERAGE_MIN = 0.6
@@ -147,7 +147,7 @@ def check_times(
     track: Track, direction_rad: float, begin_s: float = -math.inf, end_s: float = math.inf
 ) -> None:
     """Raises InputError when pictures are missing from ``begin_s`` to ``end_s`` that the time
-    stamps do not show (tracking/stamps.py). Before and after a trial there may be hands."""
+    stamps do not show (``check_stamps``). Before and after a trial there may be hands."""
     inside = _seen(track) & (track.t_s >= begin_s) & (track.t_s <= end_s)
     way = _way(track, direction_rad)[inside]
     check_stamps(track.t_s[inside], way, track.name or "the film")

@@ -26,15 +26,12 @@ from tailbeat.studies.montecarlo.batch import (
     QUIET_TRIAL,
     BatchTrials,
     batch_of,
+    draw,
     is_foreign,
     smallest_error,
+    still,
 )
-from tailbeat.studies.montecarlo.learners import (
-    ROLLED_BACK,
-    BatchLearner,
-    Columns,
-)
-from tailbeat.studies.montecarlo.populations import draw, still
+from tailbeat.studies.montecarlo.learners import ROLLED_BACK, BatchLearner, Columns
 from tailbeat.studies.montecarlo.recipe import (
     REFERENCE_IDENTIFIED,
     REFERENCES_FEASIBLE,

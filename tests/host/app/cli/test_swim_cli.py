@@ -15,7 +15,7 @@ from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import InputError
-from tailbeat.core.frames import Frame
+from tailbeat.core.speed_source import Frame
 from tailbeat.core.trial_file import read_trial
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.source.film import Film

@@ -13,7 +13,7 @@ import pytest
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import InputError
-from tailbeat.core.frames import CameraGone, Frame, Unseen
+from tailbeat.core.speed_source import CameraGone, Frame, Unseen
 from tailbeat.link.messages import BeatEvent, BoardStatus
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.source.picture import TimedImage

@@ -15,8 +15,8 @@ from scipy.optimize import minimize_scalar
 
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera import speed
+from tailbeat.sensors.camera.smoother import check_stamps
 from tailbeat.sensors.camera.speed import swim_speed
-from tailbeat.sensors.camera.tracking.stamps import check_stamps
 from tailbeat.sensors.camera.tracking.track import SEEN, Track
 
 from .second_films import filming, measured, tracked

@@ -15,8 +15,8 @@ import pytest
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import InputError
-from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.core.native import lib
+from tailbeat.core.speed_source import CameraGone, Frame
 from tailbeat.sensors.camera.render.source import RemoteCamera, SimulatedCamera
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimulatedBoard

@@ -11,8 +11,8 @@ import pytest
 
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
-from tailbeat.core.frames import Frame
 from tailbeat.core.reference import Reference, thesis
+from tailbeat.core.speed_source import Frame
 from tailbeat.sensors.camera import smoother
 from tailbeat.sensors.camera import speed as speed_module
 from tailbeat.sensors.camera.render.source import SimulatedCamera

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
 from tailbeat.core.errors import InputError
-from tailbeat.core.frames import Frame
+from tailbeat.core.speed_source import Frame
 from tailbeat.core.trial_file import NO_MOTION, Trial, read_trial
 from tailbeat.sensors.camera.led import Waveform, read_led
 from tailbeat.sensors.camera.sync import WrongPair, read_yaw, sync, sync_by_led, sync_by_yaw

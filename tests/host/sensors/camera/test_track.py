@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tailbeat.core.errors import InputError
-from tailbeat.core.frames import Frame
+from tailbeat.core.speed_source import Frame
 from tailbeat.report.figures.track import draw_track
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.film_to_speed import Overlay

@@ -9,8 +9,8 @@ import pytest
 
 from tailbeat.studies.montecarlo.cell import cells
 from tailbeat.studies.montecarlo.recipe import ClaimSpec, load, packaged
-from tailbeat.studies.montecarlo.results import DERIVED, schema
-from tailbeat.studies.montecarlo.summary import Rows, judge
+from tailbeat.studies.montecarlo.results import DERIVED, Rows, schema
+from tailbeat.studies.montecarlo.summary import judge
 
 BOUNDS = {  # of each recipe's claims: statistic, iteration, at least, at most, for which plants
     "camera-noise": [

@@ -17,9 +17,15 @@ from tailbeat.core.native import lib
 from tailbeat.core.reference import thesis
 from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
-from tailbeat.studies.montecarlo.batch import FishBatch, batch_of, smallest_error
+from tailbeat.studies.montecarlo.batch import (
+    POPULATIONS,
+    FishBatch,
+    batch_of,
+    draw,
+    smallest_error,
+    still,
+)
 from tailbeat.studies.montecarlo.cell import cells, run_cell
-from tailbeat.studies.montecarlo.populations import POPULATIONS, draw, still
 from tailbeat.studies.montecarlo.recipe import load, parse
 
 MOST_RAD = math.pi / 4

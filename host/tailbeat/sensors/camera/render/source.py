@@ -10,7 +10,7 @@ from typing import Literal, Protocol
 import msgspec
 
 from tailbeat.core.errors import ConnectError, reason
-from tailbeat.core.frames import CameraGone, Frame
+from tailbeat.core.speed_source import CameraGone, Frame
 from tailbeat.sensors.camera.render.painter import DrawnPose, Painter
 from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.source.picture import PictureSource, TimedImage

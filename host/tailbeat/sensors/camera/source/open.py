@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from tailbeat.core.errors import InputError, reason
-from tailbeat.core.frames import Camera
+from tailbeat.core.speed_source import Camera
 from tailbeat.sensors.camera import cv2
 from tailbeat.sensors.camera.marker.detector import Marker
 from tailbeat.sensors.camera.render.source import (

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from tailbeat.core.errors import InputError, TailbeatError
-from tailbeat.core.frames import CameraGone, Frame
+from tailbeat.core.speed_source import CameraGone, Frame
 from tailbeat.sensors.camera.source.picture import PictureSource, TimedImage
 from tailbeat.sensors.camera.speed import COVERAGE_MIN, SIGMA_MIN_M_S
 from tailbeat.sensors.camera.tracking.track import BRIDGED_IN_A_ROW_MAX, Track, track_of

@@ -18,7 +18,7 @@ import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, reason
-from tailbeat.core.frames import Frame
+from tailbeat.core.speed_source import Frame
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.tags import Detection
 from tailbeat.sensors.camera.source.picture import TimedImage, size_of

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.core.frames import Camera, Frame
+from tailbeat.core.speed_source import Camera, Frame
 from tailbeat.sensors.camera import cv2
 from tailbeat.sensors.camera.calibration.file import Calibration, corners_of
 from tailbeat.sensors.camera.marker.detector import MARKERS, Marker, detector_for
