@@ -104,6 +104,7 @@ Group = tuple[str, ...]
 
 FISH = ("plant", "law", "noise", "corner")
 GROUP = (*FISH, "reference")
+_LATER = ("input_max_abs_error_m_s", "refuted")
 _RANGES = (  # derived column, what is predicted, its 5 % and 95 %
     ("ratio_inside", "ratio", "ratio_low", "ratio_high"),
     ("prediction_inside", "max_abs_error_m_s", "predicted_low_m_s", "predicted_high_m_s"),
@@ -129,6 +130,8 @@ class Rows:
                 column = column.dictionary_encode()
                 texts[name], column = column.dictionary.to_pylist(), column.indices
             columns[name] = column.to_numpy(zero_copy_only=False)
+        for name in _LATER:  # results of earlier versions lack these
+            columns.setdefault(name, np.full(table.num_rows, np.nan))
         for name, of, low, high in _RANGES:
             columns[name] = _inside(columns[of], columns[low], columns[high])
         near = 1.1 * columns["floor_minimax_m_s"] + _NEAR_M_S
