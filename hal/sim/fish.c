@@ -5,20 +5,6 @@
 #define SILENT_FRAMES 10u /* 0.2 s */
 #define FRAMES_PER_SPEED 2u
 
-void fish_init(fish_t *fish, const sim_config_t *config) {
-    fish->config = *config;
-    fish->beat_s = config->beat_s;
-    fish->caught_after_us = (uint64_t)(config->caught_after_s * 1e6 + 0.5);
-    fish->placed_after_us = (uint64_t)(config->placed_after_s * 1e6 + 0.5);
-    fish->gain = 1;
-    fish->placed = true;
-    tail_init(&fish->tail, config, tail_frames(config->beat_s));
-    plant_init(&fish->plant, config);
-    felt_init(&fish->felt, config);
-    fish->silent_frames = SILENT_FRAMES;
-    fish->next_swim_key = 1;
-}
-
 /* The hand that moves it is not felt as a push; that it was turned is. */
 static void carried_from(fish_t *fish, const plant_point_t *before) {
     const plant_point_t after = plant_point(&fish->plant);
@@ -33,7 +19,33 @@ void fish_place(fish_t *fish, double x_m, double y_m, double heading_rad) {
     carried_from(fish, &before);
 }
 
+/* At the start of the next swim, as well as a hand can. */
+static void put_back(fish_t *fish) {
+    disturbance_t next;
+    disturbance_draw(&next, &fish->config, fish->next_swim_key);
+    fish_place(fish, next.place_x_m, next.place_y_m, next.place_rad);
+}
+
+void fish_init(fish_t *fish, const sim_config_t *config) {
+    fish->config = *config;
+    fish->beat_s = config->beat_s;
+    fish->caught_after_us = (uint64_t)(config->caught_after_s * 1e6 + 0.5);
+    fish->placed_after_us = (uint64_t)(config->placed_after_s * 1e6 + 0.5);
+    fish->gain = 1;
+    tail_init(&fish->tail, config, tail_frames(config->beat_s));
+    plant_init(&fish->plant, config);
+    fish->silent_frames = SILENT_FRAMES;
+    fish->next_swim_key = 1;
+    put_back(fish);
+    felt_init(&fish->felt, config);
+    fish->placed = false; /* the first swim may be another one than it was put there for */
+}
+
 static void begin_swim(fish_t *fish, uint16_t first_pulse) {
+    if (!fish->placed) {
+        put_back(fish);
+    }
+    fish->placed = false;
     fish->swims++;
     fish->swim_key = fish->next_swim_key++;
     fish->swim_frame = 0;
@@ -45,10 +57,6 @@ static void begin_swim(fish_t *fish, uint16_t first_pulse) {
     const plant_point_t before = plant_point(&fish->plant);
     disturbance_draw(&fish->drawn, &fish->config, fish->swim_key);
     const disturbance_t *drawn = &fish->drawn;
-    if (!fish->placed) {
-        plant_place(&fish->plant, drawn->place_x_m, drawn->place_y_m, drawn->place_rad);
-    }
-    fish->placed = false;
     plant_begin(&fish->plant, fish->start_known ? fish->start_m_s : drawn->start_m_s,
                 fish->gain * drawn->gain, drawn->flow_m_s);
     fish->start_known = false;
@@ -84,7 +92,7 @@ static void be_handled(fish_t *fish) {
         plant_catch(&fish->plant, INFINITY);
     }
     if (waited(fish, fish->placed_after_us) && plant_stopped(&fish->plant)) {
-        fish_place(fish, 0, 0, 0);
+        put_back(fish);
     }
 }
 

@@ -47,6 +47,8 @@ void sim_config_default(sim_config_t *config, sim_plant_t plant) {
         config->gain_sigma = 0.02;
         config->flow_sigma_m_s = 0.0015;
         config->start_sigma_m_s = 0.002;
+        config->place_sigma_m = 0.005;
+        config->place_sigma_rad = 0.0174532925199432958;
         config->camera_noise_m = 0.001;
         config->imu_noise = 1;
     }

@@ -73,8 +73,8 @@ typedef struct {
     double boot_s;           /* simulated time at which the board boots (its clock starts) */
 } sim_config_t;
 
-/* Tank: gain 0.02, flow 1.5 mm/s, start 2 mm/s, camera 1 mm; all off for the
- * thesis plant. */
+/* Tank and reactive: gain 0.02, flow 1.5 mm/s, start 2 mm/s, camera 1 mm, placed to 5 mm and
+ * 1 degree; all off for the thesis plant. */
 void sim_config_default(sim_config_t *config, sim_plant_t plant);
 
 /* Whether every value makes sense. */

@@ -13,6 +13,7 @@ void tearDown(void) {}
 static sim_config_t tank(void) {
     sim_config_t c;
     sim_config_default(&c, SIM_PLANT_TANK);
+    c.place_sigma_m = c.place_sigma_rad = 0;
     return c;
 }
 

@@ -304,6 +304,7 @@ static void swim_once(swim_t *swim, uint64_t seed) {
     config.camera_lost = 0.1;
     config.camera_latency_s = 0.02;
     config.caught_after_s = 1.5;
+    config.placed_after_s = 90; /* held until the second rest is known */
     config.imu_port = 2;
     config.imu_baud = 115200;
     world = world_new(&config);

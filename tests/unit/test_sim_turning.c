@@ -87,6 +87,7 @@ static void test_a_trimmed_tail_swims_as_a_straight_one_bit_for_bit(void) {
     for (int plant = SIM_PLANT_THESIS; plant <= SIM_PLANT_TANK; plant++) {
         sim_config_t c;
         sim_config_default(&c, (sim_plant_t)plant);
+        c.place_sigma_m = c.place_sigma_rad = 0;
         film(&c, 0, &straight);
         TEST_ASSERT_TRUE(straight.truth[FRAMES - 1].x_m > 0.5);
         TEST_ASSERT_TRUE(straight.truth[FRAMES - 1].heading_rad == 0);
@@ -259,6 +260,32 @@ static void test_it_lies_at_the_start(void) {
         between += picture[i].x_m > 0 && picture[i].x_m < 0.2;
     }
     TEST_ASSERT_EQUAL(0, between);
+    world_free(world);
+}
+
+/* A hand puts it back within 5 mm and a degree, and it swims from where it was put. */
+static void test_a_hand_is_not_exact(void) {
+    enum { SWIMS = 60 };
+    sim_config_t c = quiet();
+    c.place_sigma_m = 0.005;
+    c.place_sigma_rad = 0.0175;
+    world_t *world = world_new(&c);
+    double square[3] = {0};
+    for (unsigned i = 0; i < SWIMS; i++) {
+        const sim_truth_t lies = world_truth(world);
+        beat(world, 0, 1);
+        const sim_truth_t t = world_truth(world);
+        TEST_ASSERT_TRUE(lies.heading_rad != 0 && t.heading_rad == lies.heading_rad);
+        TEST_ASSERT_DOUBLE_WITHIN(1e-3, lies.x_m, t.x_m);
+        square[0] += t.x_m * t.x_m / SWIMS;
+        square[1] += t.y_m * t.y_m / SWIMS;
+        square[2] += t.heading_rad * t.heading_rad / SWIMS;
+        beat(world, 0, 50);
+        rest_s(world, 20);
+    }
+    TEST_ASSERT_DOUBLE_WITHIN(0.0015, c.place_sigma_m, sqrt(square[0]));
+    TEST_ASSERT_DOUBLE_WITHIN(0.0015, c.place_sigma_m, sqrt(square[1]));
+    TEST_ASSERT_DOUBLE_WITHIN(0.005, c.place_sigma_rad, sqrt(square[2]));
     world_free(world);
 }
 
@@ -531,6 +558,7 @@ int main(void) {
     RUN_TEST(test_it_coasts_straight);
     RUN_TEST(test_somebody_puts_it_back_when_it_is_caught);
     RUN_TEST(test_it_lies_at_the_start);
+    RUN_TEST(test_a_hand_is_not_exact);
     RUN_TEST(test_it_swims_along_the_heading_it_was_put_at);
     RUN_TEST(test_speed_over_ground_is_along_the_heading);
     RUN_TEST(test_stirred_water_carries_it_and_comes_to_rest);

@@ -42,6 +42,7 @@ static inline sim_config_t vn100_config(double noise) {
     sim_config_default(&c, SIM_PLANT_TANK);
     c.imu_noise = noise;
     c.start_sigma_m_s = c.flow_sigma_m_s = 0;
+    c.place_sigma_m = c.place_sigma_rad = 0;
     return c;
 }
 

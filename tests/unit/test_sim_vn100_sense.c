@@ -93,6 +93,7 @@ static void open_still(sim_plant_t plant) {
     sim_config_t c;
     sim_config_default(&c, plant);
     c.imu_noise = c.start_sigma_m_s = c.flow_sigma_m_s = 0;
+    c.place_sigma_m = c.place_sigma_rad = 0;
     wire_open(&wire, &c);
     wire_stream(&wire);
     strap_reset();
