@@ -32,8 +32,9 @@ from tailbeat.learning.belief import believe
 from tailbeat.learning.fish_model import TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import ModelStepSetting, propose_by
-from tailbeat.studies.montecarlo.batch import FishBatch, draw, still
+from tailbeat.studies.montecarlo.batch import FishBatch
 from tailbeat.studies.montecarlo.learners import identify, speeds_of
+from tailbeat.studies.montecarlo.populations import draw, still
 
 Grid = dict[str, list[float]]
 

@@ -41,6 +41,8 @@ typedef struct {
     disturbance_t drawn[SHOAL_LANES];
     bool moves;                  /* the water of any lane, within the trial */
     double moved_m[SHOAL_LANES]; /* by that, since the beat began */
+    bool sways;                  /* the head of any lane, along the tank */
+    double sway_m_per_rad[SHOAL_LANES];
     shoal_block_t rows;
 } block_t;
 
@@ -78,6 +80,11 @@ static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_
     rows->most_rad[l] = c->servo_rate_rad_s > 0 ? c->servo_rate_rad_s * h : 1e9;
     rows->servo_rad[l] = rows->late[l] = rows->way_m[l] = rows->base_m[l] = 0;
     rows->z2_most[l] = rows->vkt_most[l] = 0;
+    rows->ahead[l] = cos(block->drawn[l].place_rad);
+    rows->swayed_m[1][l] = 0;
+    block->sway_m_per_rad[l] =
+        c->plant == SIM_PLANT_REACTIVE ? 0 : SWAY_M_PER_RAD * sin(block->drawn[l].place_rad);
+    block->sways = block->sways || c->place_sigma_rad > 0;
 }
 
 static void set_camera(shoal_block_t *rows, unsigned l, const sim_config_t *c, uint32_t swim) {
@@ -131,7 +138,7 @@ static void begin(block_t *block) {
     rows->has_servo = has_servo(&task->configs[block->first]);
     rows->lossy = false;
     rows->step = 0;
-    block->moves = false;
+    block->moves = block->sways = false;
     for (unsigned l = 0; l < SHOAL_LANES; l++) {
         const size_t fish = fish_of(block, l);
         set_water(block, l, &task->configs[fish], task->swims[fish]);
@@ -263,6 +270,17 @@ static void move_water(block_t *block) {
     }
 }
 
+/* How far the head has swayed along the tank with its tail, by the end of the frame. */
+static void sway(block_t *block, double sine) {
+    shoal_block_t *rows = &block->rows;
+    for (unsigned l = 0; l < block->count; l++) {
+        const double servo_rad = block->alone ? block->tail.servo_rad : rows->servo_rad[l];
+        const double tail_rad = rows->has_servo ? servo_rad : rows->amplitude_rad[l] * sine;
+        rows->swayed_m[0][l] = rows->swayed_m[1][l];
+        rows->swayed_m[1][l] = block->sway_m_per_rad[l] * tail_rad;
+    }
+}
+
 static void swim_frame(block_t *block, uint32_t frame, bool limp) {
     const tail_t *tail = block->task->tail;
     const double *sine = tail->sine + frame;
@@ -274,6 +292,9 @@ static void swim_frame(block_t *block, uint32_t frame, bool limp) {
     }
     if (block->moves) {
         move_water(block);
+    }
+    if (block->sways) {
+        sway(block, sine[1]);
     }
     look(block);
 }

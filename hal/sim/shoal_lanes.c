@@ -111,12 +111,14 @@ INLINE void positions(const shoal_block_t *b, const shoal_picture_t *p, double *
     const double *x0 = b->trace_way_m[p->substep], *x1 = b->trace_way_m[p->substep + 1];
     const double *v0 = b->trace_v_m_s[p->substep], *v1 = b->trace_v_m_s[p->substep + 1];
     const double u = p->part, w = 1 - u;
-    const double dt = b->frame_s / SUBSTEPS;
+    const double dt = b->frame_s / SUBSTEPS, part = (p->substep + p->part) / SUBSTEPS;
     EACH_LANE(l) {
         const double way = x0[l] * w * w * (1 + 2 * u) + x1[l] * u * u * (3 - 2 * u) +
                            u * w * (w * v0[l] * dt - u * v1[l] * dt);
         const double noise = noise_normal_of(noise_bits(b->noise_key[l], 2 * p->sample));
-        x[l] = b->base_m[l] + way + b->flow_m_s[l] * p->in_beat_s + b->noise_m[l] * noise;
+        const double swayed = b->swayed_m[0][l] + part * (b->swayed_m[1][l] - b->swayed_m[0][l]);
+        const double along = b->base_m[l] + way + b->flow_m_s[l] * p->in_beat_s;
+        x[l] = b->ahead[l] * along - swayed + b->noise_m[l] * noise;
     }
 }
 

@@ -1,7 +1,7 @@
 """Whether something other than its tail moved the fish in a trial: a hand, the wall, a wave.
 
-The trial is its own measure: a fish in four numbers (model.fishmodel) is fitted to it without the
-beats that do not fit, and what it misses must not jump from one beat to the next. Nothing need be
+The trial is its own measure: a fish in four numbers (one with a shape would follow a push near the
+end of the trial) is fitted to it without the beats that do not fit, and what it misses must not jump from one beat to the next. Nothing need be
 known of the fish. On the simulated tank, seeds 1 to 20, trials 1 to 10 from a first input near
 the dead zone, the largest jump of 200 trials was 2.6 mm/s; of 200 that were pushed by 50 mm/s at
 any beat, 22.9 to 39.6, all flagged. Of 78 trials of 13 other fish, references and cameras none was
@@ -34,6 +34,10 @@ _SCATTERS = 5.0  # of the jumps in this trial; 4.9 is the most that chance made 
 _SIGMAS = 6.0  # of a beat's measurement
 _BEATS_MIN = 6  # fewer follow any model
 _FITS = 4
+_PLAIN = Prior(
+    FishModel(10.0, 0.2, 0.17, 0.3, wake_share=0.01, wake_s=1.0),
+    bend_per_rad=0.02, linear_drag_m_s=1e-4, wake_share=0.002, wake_s=0.05,
+)  # fmt: skip
 _FITS_M_S, _FITS_MADS = 0.004, 4.0  # a beat farther off does not take part in the next fit
 _FADED = 0.25  # of the jump: what is left of it does not count as its beats
 _MAD = 1.4826  # standard deviations of normal noise
@@ -77,7 +81,7 @@ def _missed(trial: TrialSpeeds) -> F64:
     """Speed less the model's, per beat."""
     known, used = trial.measured, trial.measured
     for _ in range(_FITS):
-        found = fit([replace(trial, speed_m_s=np.where(used, trial.speed_m_s, np.nan))])
+        found = fit([replace(trial, speed_m_s=np.where(used, trial.speed_m_s, np.nan))], _PLAIN)
         modelled = found.model.beats(trial.amplitude_rad, trial.beat_s, found.conditions[0])
         off: F64 = trial.speed_m_s - modelled
         usual = _MAD * float(np.median(np.abs(off[known])))

@@ -74,7 +74,7 @@ def test_the_usual_inputs_of_the_thesis_s_reference_fit(
             fish.learn()
             assert iteration == 1 or "trial" in found.by
     print(plant, gain, np.round(errors, 3))
-    assert np.abs(errors[1:]).max() < 0.3  # two days' gain and flow apart: 0.11 m, one sigma
+    assert np.abs(errors[1:]).max() < 0.33  # two days' gain and flow apart: 0.11 m, one sigma
 
 
 def test_nothing_on_the_board_changes_and_arming_makes_what_was_said(tank: Fish) -> None:

@@ -46,6 +46,7 @@ class Swum:
 
     def __init__(self, folder: Path, centre_rad: float, centre_us: float = 1500.0) -> None:
         url = f"sim:tank?seed=3&tail_centre_rad={centre_rad}&flow_sigma_m_s=0"
+        url += "&place_sigma_m=0&place_sigma_rad=0"
         with Fish.connect(url) as fish:
             board = fish.sim
             assert board is not None
@@ -148,7 +149,7 @@ def test_another_pack_boots_the_board_and_keeps_its_flash() -> None:
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e9])
 def test_senseless_handling_is_refused(bad: float) -> None:
-    board = SimBoard("tank")
+    board = SimBoard("tank", place_sigma_m=0.0)
     acts: tuple[Callable[[], None], ...] = (
         lambda: board.world.push(bad),
         lambda: board.world.hold(bad),

@@ -22,16 +22,9 @@ from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.planner import plan
 from tailbeat.studies.montecarlo import learners
-from tailbeat.studies.montecarlo.batch import (
-    QUIET_TRIAL,
-    BatchTrials,
-    batch_of,
-    draw,
-    is_foreign,
-    smallest_error,
-    still,
-)
+from tailbeat.studies.montecarlo.batch import QUIET_TRIAL, BatchTrials, batch_of, is_foreign
 from tailbeat.studies.montecarlo.learners import ROLLED_BACK, BatchLearner, Columns
+from tailbeat.studies.montecarlo.populations import draw, still
 from tailbeat.studies.montecarlo.recipe import (
     REFERENCE_IDENTIFIED,
     REFERENCES_FEASIBLE,
@@ -41,9 +34,13 @@ from tailbeat.studies.montecarlo.recipe import (
     SimSettings,
 )
 from tailbeat.studies.montecarlo.results import FAILED, Table, pyarrow, schema
+from tailbeat.studies.montecarlo.smallest_error import smallest_error
 
 FIRST_TRIAL = 9  # of a population: the trials before are the identification's, which drifts, too
 _CHUNKS = {"p": 250, "repeats": 250, "design": 5, "model": 5}  # each some seconds of work at most
+_CORNERS = {  # what a plant has for slope and dead zone; speed goes with the depth of the fin
+    "tank": ("slope_m_s_rad", "dead_zone_rad"), "reactive": ("fin_depth_m", "servo_backlash_rad"),
+}  # fmt: skip
 _ANOTHER_SEED = 0  # of the fish that a reference is made for: one of those that learn, but not them
 
 
@@ -73,7 +70,8 @@ def cells(recipe: Recipe) -> list[Cell]:
     for plant in recipe.plants:
         for noise in recipe.noises:
             for law in recipe.laws:
-                chunk = recipe.chunk or _CHUNKS[law.kind]
+                own = plant.each_its_own and recipe.reference == REFERENCE_IDENTIFIED
+                chunk = 1 if own else recipe.chunk or _CHUNKS[law.kind]
                 for corner in recipe.corners if law.corners else [Corner()]:
                     for first in range(recipe.first_seed, last, chunk):
                         seeds = tuple(range(first, min(first + chunk, last)))
@@ -193,16 +191,30 @@ Phases = list[tuple[_Ground, int]]  # what is learned one after the other, each 
 
 def _ground_of(recipe: Recipe, cell: Cell, reference: str) -> _Ground:
     if cell.plant.each_its_own:
-        if reference in REFERENCES_FEASIBLE:
-            raise InputError(
-                "fish that all differ have no feasible reference.", "Give one that is fixed."
-            )
-        return _Ground(references.from_text(reference), None)
+        return _Ground(_own_reference(recipe, cell, reference), None)
     noise = cell.noise.values if reference == REFERENCE_IDENTIFIED else {}
     values = cell.plant.values | noise
     return _ground(
         cell.plant.plant, tuple(sorted(values.items())), reference, recipe.amplitude_max_rad
     )
+
+
+def _own_reference(recipe: Recipe, cell: Cell, name: str) -> Reference:
+    """Of a population: a feasible one is that of the only fish of the cell, as identified."""
+    if name not in REFERENCES_FEASIBLE:
+        return references.from_text(name)
+    if name != REFERENCE_IDENTIFIED:
+        raise InputError(
+            "fish that all differ have no feasible reference in common.",
+            f'Give one that is fixed, or "{REFERENCE_IDENTIFIED}", each fish\'s own.',
+        )
+    thesis, most = references.thesis(), recipe.amplitude_max_rad
+    fish = _fish_of(cell, cell.seeds[0])
+    try:
+        known = learners.identify(cell.plant.plant, fish, most, thesis.beat_s, 1)
+    except TailbeatError:
+        return thesis  # its learner fails for the same reason, which the fish's rows say
+    return suggest(known, thesis, most).reference
 
 
 @lru_cache(maxsize=64)
@@ -265,10 +277,11 @@ def _at_corner(fish: dict[str, float], cell: Cell) -> dict[str, float]:
         return fish
     config = plant_config(cell.plant.plant, fish)
     corner = cell.corner
+    slope, dead_zone = _CORNERS.get(cell.plant.plant, _CORNERS["tank"])
     return fish | {
         "kappa_per_m": config.kappa_per_m * corner.kappa_factor,
-        "slope_m_s_rad": config.slope_m_s_rad * corner.slope_factor,
-        "dead_zone_rad": config.dead_zone_rad * corner.dead_zone_factor,
+        slope: getattr(config, slope) * corner.slope_factor,
+        dead_zone: getattr(config, dead_zone) * corner.dead_zone_factor,
         "delay_s": max(0.0, config.delay_s + corner.delay_add_s),
     }
 

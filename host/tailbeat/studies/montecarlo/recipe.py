@@ -27,7 +27,8 @@ from tailbeat.core.law import PAST_KINDS
 from tailbeat.core.native import lib
 from tailbeat.core.reference import from_text
 from tailbeat.sim.config import PLANTS, config_field, make_config
-from tailbeat.studies.montecarlo.batch import POPULATIONS, draw, foreign_plant
+from tailbeat.studies.montecarlo.batch import foreign_plant
+from tailbeat.studies.montecarlo.populations import POPULATIONS, draw
 from tailbeat.studies.montecarlo.results import NUMBER_COLUMNS
 
 LAW_KINDS = ("p", "design", "model", "repeats")

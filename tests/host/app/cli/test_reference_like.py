@@ -26,7 +26,9 @@ from tailbeat.sim.board import SimBoard, SimTransport
 OLD = "trapezoid:0.06,4,6"
 SLOWER = "trapezoid:0.048,5,7.5"
 QUIET = {"gain_sigma": 0, "flow_sigma_m_s": 0, "start_sigma_m_s": 0, "camera_noise_m": 0}
-TANK = FishModel(10.0, 0.219, 0.197, 0.3)
+TANK = FishModel(
+    *np.array([10.0, 0.219, 0.197, 0.3], np.float32).tolist()
+)  # as the board's parameters
 UPLOADED = 2
 
 

@@ -98,11 +98,12 @@ def test_reset_forgets() -> None:
     assert feed(fit, line(26, t0=6.0))
 
 
-def recorded(seed: int, fps: float, noise_m: float) -> np.ndarray:
+def recorded(seed: int, fps: float, noise_m: float, askew: float) -> np.ndarray:
     """Pictures (t_s, x_m) of the thesis's swim in the simulated tank, the trial begins at 0."""
     wanted = thesis().speed_m_s
     amplitude = np.where(wanted > 0.002, 0.197 + wanted / 0.219, 0)
     camera = {"camera_fps": fps, "camera_noise_m": noise_m, "camera_exposure_s": 0.001}
+    camera["place_sigma_rad"] = askew
     world = Wires("tank", seed, imu_firmware=0, **camera)
     begin_us, frames = 440_000, 50 * len(amplitude)
     world.rest(begin_us - 20_000)
@@ -115,19 +116,25 @@ def recorded(seed: int, fps: float, noise_m: float) -> np.ndarray:
     return np.array(rows)
 
 
-@pytest.mark.parametrize("fps", [25.0, 60.0])
-def test_the_speeds_of_a_swim_are_as_good_as_they_say(fps: float) -> None:
-    """With a millimetre of noise. 20 seeds: bias 0.00 and 0.00 mm/s, RMS 0.67 and 0.47, within two
-    sigma 94.9 and 93.9 % (25 and 60 pictures a second)."""
+@pytest.mark.parametrize(
+    ("fps", "askew", "worst_m_s"),
+    [(25.0, 0.0, 0.75e-3), (60.0, 0.0, 0.48e-3), (25.0, 0.0175, 0.78e-3), (60.0, 0.0175, 0.58e-3)],
+)
+def test_the_speeds_of_a_swim_are_as_good_as_they_say(
+    fps: float, askew: float, worst_m_s: float
+) -> None:
+    """With a millimetre of noise. 12 seeds: no bias, RMS 0.68 and 0.48, within two sigma 94.7 and
+    93.5 % (25 and 60 pictures a second). Where a hand puts the nose a degree askew, part of the
+    head's sway is along the tank: RMS 0.71 and 0.53, within two sigma 93.6 and 90.6 %."""
     errors, sigmas = [], []
     for seed in (1, 2, 3):
-        truth = recorded(seed, 240.0, 0.0)
-        for s in feed(BeatFit(fps=fps), [tuple(row) for row in recorded(seed, fps, 1e-3)]):
+        truth = recorded(seed, 240.0, 0.0, askew)
+        for s in feed(BeatFit(fps=fps), [tuple(row) for row in recorded(seed, fps, 1e-3, askew)]):
             if 0.5 < s.t_s < 39:
                 ends = np.interp([s.t_s - 0.5, s.t_s + 0.5], truth[:, 0], truth[:, 1])
                 errors.append(s.speed_m_s - (ends[1] - ends[0]))
                 sigmas.append(s.sigma_m_s)
     error, sigma = np.array(errors), np.array(sigmas)
     assert abs(error.mean()) < 0.1e-3
-    assert error.std() < 0.75e-3 * math.sqrt(25 / fps)
-    assert np.mean(np.abs(error) < 2 * sigma) > 0.92
+    assert error.std() < worst_m_s
+    assert np.mean(np.abs(error) < 2 * sigma) > (0.87 if askew else 0.92)

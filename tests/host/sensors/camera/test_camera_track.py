@@ -43,7 +43,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Exercise:
     options = ExerciseOptions(
         reference.Reference(1.0, speed, "bump"),
         Scene(size_px=SIZE_PX, marker_side_m=0.1),
-        overrides={"camera_lost": 0.05},
+        overrides={"camera_lost": 0.05, "place_sigma_m": 0, "place_sigma_rad": 0},
     )
     return make_exercise(folder / "swim.mp4", options)
 

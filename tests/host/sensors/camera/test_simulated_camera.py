@@ -57,7 +57,7 @@ def test_led_is_what_the_open_shutter_saw(seed: int) -> None:
 
 
 def test_tail_is_the_servos_and_turns_the_head() -> None:
-    world = Wires("tank", 1, camera_noise=0.0)
+    world = Wires("tank", 1, camera_noise=0.0, place_sigma_rad=0.0)
     fish = World(world.handle, None)  # type: ignore[arg-type]
     tails = [0.0]
     for n in range(300):

@@ -485,7 +485,7 @@ def test_corners() -> None:
     assert len(recipe.corners) == 16
     assert len({corner.name for corner in recipe.corners}) == 16
     model = [cell for cell in cells(recipe) if cell.law.kind == "model"]
-    assert len({(cell.plant.name, cell.corner.name) for cell in model}) == 48
+    assert len({(cell.plant.name, cell.corner.name) for cell in model}) == 64
 
 
 @pytest.mark.parametrize(

@@ -17,16 +17,11 @@ from tailbeat.core.native import lib
 from tailbeat.core.reference import thesis
 from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
-from tailbeat.studies.montecarlo.batch import (
-    POPULATIONS,
-    FishBatch,
-    batch_of,
-    draw,
-    smallest_error,
-    still,
-)
+from tailbeat.studies.montecarlo.batch import FishBatch, batch_of
 from tailbeat.studies.montecarlo.cell import cells, run_cell
+from tailbeat.studies.montecarlo.populations import POPULATIONS, draw, still
 from tailbeat.studies.montecarlo.recipe import load, parse
+from tailbeat.studies.montecarlo.smallest_error import smallest_error
 
 MOST_RAD = math.pi / 4
 WANTED = thesis().speed_m_s.astype(np.float64)
