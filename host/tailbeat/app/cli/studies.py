@@ -229,7 +229,7 @@ def montecarlo(
     scheduler: str | None = opt("Compute on a Dask cluster.", "tcp://HOST:PORT"),
     plant: Path | None = opt("Fish compiled elsewhere, instead of the recipe's.", "FILE.so"),
     plot: Path | None = opt("Draw the curves.", "PNG"),
-    check: bool = opt("Fail when a claim of the recipe does not hold."),
+    check: bool = opt("Fail when a claim does not hold; with --pinned, when one is open, too."),
     summary: Path | None = opt("Compute nothing; sum up what is there.", "DIR"),
     list_: bool = opt("Print the recipes that come with it."),
 ) -> Output:
@@ -260,7 +260,7 @@ def montecarlo(
     if plot is not None:
         render(found, plot)
         about["plot"] = plot
-    status = int(bool(check and found.failed))
+    status = int(bool(check and (found.failed or (pinned and found.open))))
     return Output(_study_document(found) | about, lambda: _study_text(found, about), status)
 
 
@@ -304,6 +304,7 @@ def _study_document(found: StudySummary) -> dict[str, Any]:
         **pick(found, "recipe", "title", "claims"),
         "groups": [vars(line) | {"over_floor": line.over_floor} for line in found.lines],
         "failed": len(found.failed),
+        "open": len(found.open),
         "failed_fish": found.failures,
     }
 
@@ -358,7 +359,7 @@ def _cell(line: GroupSummary, i: int) -> str:
 
 
 def _claim_line(claim: ClaimResult) -> str:
-    word = "holds" if claim.holds else "FAILS"
+    word = "holds" if claim.holds else "open" if claim.is_open else "FAILS"
     where = f" ({claim.group})" if claim.group else ""
     low, high = claim.interval
     within = f" [{low:.3g}, {high:.3g}]" if math.isfinite(low) else ""

@@ -34,7 +34,7 @@ from tailbeat.studies.montecarlo.recipe import (
     SimSettings,
 )
 from tailbeat.studies.montecarlo.results import FAILED, Table, pyarrow, schema
-from tailbeat.studies.montecarlo.smallest_error import smallest_error
+from tailbeat.studies.montecarlo.smallest_error import smallest_errors
 
 FIRST_TRIAL = 9  # of a population: the trials before are the identification's, which drifts, too
 _CHUNKS = {"p": 250, "repeats": 250, "design": 5, "model": 5}  # each some seconds of work at most
@@ -168,12 +168,8 @@ def _smallest_errors(
     kappa_per_m = 10.0 if np.isnan(kappa_per_m) else kappa_per_m
     plain = [FishModel(kappa_per_m, 0.13, 0.1, 0.2), FishModel(kappa_per_m, 0.18, 0.15, 0.4)]
     starts = [plan(model, wanted, reference.beat_s, most).amplitude_rad for model in plain]
-    plant, beat_s, found = cell.plant.plant, reference.beat_s, []
-    starts = [*more, *starts]
-    for number in trials:
-        found.append(smallest_error(plant, fish, wanted, beat_s, most, starts, number))
-        starts = [found[-1][1], *more]
-    return np.array([error for error, _ in found]), found[0][1]
+    plant, beat_s = cell.plant.plant, reference.beat_s
+    return smallest_errors(plant, fish, wanted, beat_s, most, [*more, *starts], trials)
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ STATISTICS = (
 BY_REPEATS = ("monotone", "settled")  # statistics of whole runs, judged by a fixed input's
 REFERENCE_IDENTIFIED = "feasible, identified"
 REFERENCES_FEASIBLE = ("feasible", REFERENCE_IDENTIFIED)
+AGAINST_KEYS = ("iteration", "statistic", "of")  # the others choose rows
 _SELECTORS = ("plant", "law", "noise", "corner", "reference")
 _JUDGES = ("title", "claims", "description", "source")  # no result depends on them
 _REMEDY = "Correct it; docs/monte-carlo.md lists every key."
@@ -147,8 +148,8 @@ class ClaimSpec(StrictTable, kw_only=True):
     """``statistic`` of column ``of`` (over column ``over``) in the rows of ``where`` at
     ``iteration`` (None: all from ``from_iteration`` on; -1: the last), for each plant, law, noise,
     corner and reference by itself (``pool``: all together), over the same of the rows of
-    ``against``, which may have a statistic of its own; must be at least or at most that, or both.
-    What is not known makes it fail. ``level``: of the statistic ``reach``."""
+    ``against``, which may have a statistic and a column of its own; must be at least or at most
+    that, or both. What is not known makes it fail. ``level``: of the statistic ``reach``."""
 
     text: str
     statistic: str
@@ -399,9 +400,9 @@ class _Reader:
         self.of(label, "statistic", str(claim.against.get("statistic", "median")), STATISTICS)
         if claim.at_most is None and claim.at_least is None:
             raise self.fail(f"{label} has no bound", "Give at_most, at_least or both.")
-        for column in filter(None, (claim.of, claim.over)):
+        for column in filter(None, (claim.of, claim.over, claim.against.get("of"))):
             self.of(label, "column", column, NUMBER_COLUMNS)
-        rows = {k: v for k, v in claim.against.items() if k not in ("iteration", "statistic")}
+        rows = {k: v for k, v in claim.against.items() if k not in AGAINST_KEYS}
         for key, chosen in (*claim.where.items(), *rows.items()):
             self.of(label, "column of rows", key, _SELECTORS)
             for name in chosen if isinstance(chosen, list) else [str(chosen)]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.report.style import ACCENT, GREY, Axes, Figure, mpl_ticker, picture
-from tailbeat.studies.montecarlo.recipe import BY_REPEATS, ClaimSpec, Recipe
+from tailbeat.studies.montecarlo.recipe import AGAINST_KEYS, BY_REPEATS, ClaimSpec, Recipe
 from tailbeat.studies.montecarlo.results import FAILED, FISH, GROUP, Group, Rows, Table
 
 _QUANTILES = {"median": 50, "p05": 5, "p90": 90, "p95": 95, "max": 100, "min": 0}
@@ -55,10 +55,12 @@ class GroupSummary:
 @dataclass(frozen=True)
 class ClaimResult:
     """How a claim came out. ``figure``: the worst group's, ``group`` says which; ``interval``: 95 %
-    of it, had other fish been drawn."""
+    of it, had other fish been drawn. ``is_open``: it does not hold, but with other fish it could:
+    the interval reaches the bound."""
 
     text: str
     holds: bool
+    is_open: bool
     figure: float
     interval: tuple[float, float]
     bound: str
@@ -78,8 +80,13 @@ class StudySummary:
 
     @property
     def failed(self) -> list[ClaimResult]:
-        """Claims that do not hold."""
-        return [claim for claim in self.claims if not claim.holds]
+        """Claims that do not hold, and would not with other fish."""
+        return [claim for claim in self.claims if not (claim.holds or claim.is_open)]
+
+    @property
+    def open(self) -> list[ClaimResult]:
+        """Claims that more fish would decide."""
+        return [claim for claim in self.claims if claim.is_open]
 
 
 def summarise(recipe: Recipe, table: Table) -> StudySummary:
@@ -133,7 +140,8 @@ def _known_median(grid: F64) -> F64:
 
 def judge(claim: ClaimSpec, rows: Rows) -> ClaimResult:
     """A claim about results. Without any row that it speaks of it does not hold."""
-    needed = {*GROUP, "seed", "iteration", claim.of, *filter(None, [claim.over])}
+    more = filter(None, [claim.over, claim.against.get("of")])
+    needed = {*GROUP, "seed", "iteration", claim.of, *more}
     rows = Rows({name: rows.columns[name] for name in sorted(needed)}, rows.texts)
     chosen = rows.select(claim.where)
     groups = [(("all",), chosen)] if claim.pool else list(chosen.groups())
@@ -147,7 +155,17 @@ def judge(claim: ClaimSpec, rows: Rows) -> ClaimResult:
     if not np.isfinite(result.figure):
         return result
     _, group, other = found[result.group]
-    return replace(result, interval=_interval(claim, group, other))
+    interval = _interval(claim, group, other)
+    reaches = interval[0] <= _most(claim) and interval[1] >= _least(claim)
+    return replace(result, interval=interval, is_open=reaches and not result.holds)
+
+
+def _least(claim: ClaimSpec) -> float:
+    return -np.inf if claim.at_least is None else claim.at_least
+
+
+def _most(claim: ClaimSpec) -> float:
+    return np.inf if claim.at_most is None else claim.at_most
 
 
 def _compared(claim: ClaimSpec, group: Rows, other: Rows | None) -> float:
@@ -176,23 +194,22 @@ def _interval(claim: ClaimSpec, group: Rows, other: Rows | None) -> tuple[float,
 
 def _verdict(claim: ClaimSpec, figures: dict[str, float]) -> ClaimResult:
     unknown = float("nan"), float("nan")
-    low = -np.inf if claim.at_least is None else claim.at_least
-    high = np.inf if claim.at_most is None else claim.at_most
+    low, high = _least(claim), _most(claim)
     limits = (("at least", claim.at_least), ("at most", claim.at_most))
     bound = " and ".join(f"{words} {value:g}" for words, value in limits if value is not None)
     known = {key: value for key, value in figures.items() if np.isfinite(value)}
     if not known or len(known) < len(figures):
         missing = next((key for key in figures if key not in known), "no rows")
-        return ClaimResult(claim.text, False, float("nan"), unknown, bound, missing, figures)
+        return ClaimResult(claim.text, False, False, float("nan"), unknown, bound, missing, figures)
     worst = max(known, key=lambda key: max(known[key] - high, low - known[key]))
     holds = low <= known[worst] <= high
-    return ClaimResult(claim.text, bool(holds), known[worst], unknown, bound, worst, figures)
+    return ClaimResult(claim.text, bool(holds), False, known[worst], unknown, bound, worst, figures)
 
 
 def _counterpart(claim: ClaimSpec, key: Group, rows: Rows) -> Rows:
     """The rows a group is held against: of the same plant, noise and so on, but for what
     ``against`` names; a law without corners has only one."""
-    wanted = {k: v for k, v in claim.against.items() if k not in ("iteration", "statistic")}
+    wanted = {k: v for k, v in claim.against.items() if k not in AGAINST_KEYS}
     if claim.pool:
         return rows.select({**claim.where, **wanted})
     same = {name: value for name, value in zip(GROUP, key, strict=True) if name not in wanted}
@@ -209,7 +226,8 @@ def _figure(claim: ClaimSpec, rows: Rows, against: bool = False) -> float:
         other = claim.against.get("iteration")
         iteration = other if other is not None or "law" in claim.against else iteration
     rows = _at(rows, iteration, claim.from_iteration)
-    values = rows.columns[claim.of].astype(np.float64)
+    column = claim.against.get("of", claim.of) if against else claim.of
+    values = rows.columns[column].astype(np.float64)
     if claim.over:
         values = values / rows.columns[claim.over]
     if not values.size or not np.isfinite(values).all():

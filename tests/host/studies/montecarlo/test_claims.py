@@ -24,7 +24,8 @@ BOUNDS = {  # of each recipe's claims: statistic, iteration, at least, at most, 
         ("p05", 5, None, 1, "any"),
         ("p05", 5, None, 1, "any"),
         ("p05", 5, None, 1, "any"),
-        ("p05", 10, None, 1, "any"),
+        ("p05", 10, None, 1, "thesis, kappa 5, kappa 10, kappa 20"),
+        ("p05", 10, None, 1.05, "reactive"),
         ("p05", 10, None, 1, "any"),
         ("p05", 10, None, 1, "any"),
         ("p05", 20, None, 1.05, "any"),
@@ -101,15 +102,17 @@ BOUNDS = {  # of each recipe's claims: statistic, iteration, at least, at most, 
         ("settled", None, 0.9, None, "any"),
     ],
     "feasible": [
-        ("median", 3, None, 0.006, "any"),
-        ("median", 4, None, 0.005, "any"),
-        ("p90", 3, None, 0.0055, "any"),
-        ("p90", 2, None, 1.5, "any"),
-        ("p90", 4, None, 1.2, "any"),
-        ("share", None, 0.7, None, "any"),
+        ("median", 3, None, 0.006, "kappa 5, kappa 10, kappa 20, reactive"),
+        ("median", 4, None, 0.005, "kappa 5, kappa 10, kappa 20, reactive"),
+        ("p90", 3, None, 0.0055, "kappa 5, kappa 10, kappa 20, reactive"),
+        ("p90", 2, None, 1.5, "kappa 5, kappa 10, kappa 20, reactive"),
+        ("p90", 4, None, 1.2, "kappa 5, kappa 10, kappa 20, reactive"),
+        ("share", None, 0.7, None, "kappa 5, kappa 10, kappa 20, reactive"),
+        ("median", 2, None, 1, "reactive mild, reactive realistic"),
     ],
     "floor": [
-        ("max", 0, None, 0.1, "any"),
+        ("p90", 0, None, 0.1, "any"),
+        ("max", 0, None, 0.2, "any"),
         ("median", 0, None, 0.25, "any"),
         ("median", 0, None, 0.42, "any"),
         ("median", 2, None, 0.25, "any"),
@@ -151,8 +154,9 @@ BOUNDS = {  # of each recipe's claims: statistic, iteration, at least, at most, 
         ("median", 4, 0.0194, 0.02, "kappa 10"),
         ("median", 6, 0.0172, 0.0178, "kappa 10"),
         ("median", 6, None, 0.0198, "kappa 10, kappa 20"),
-        ("median", 60, 1.1, None, "any"),
-        ("settled", None, None, 0.5, "any"),
+        ("median", 60, 1.1, None, "kappa 5, kappa 10, kappa 20, kappa 10, no servo"),
+        ("median", 60, None, 1.2, "reactive"),
+        ("settled", None, None, 0.5, "kappa 5, kappa 10, kappa 20, kappa 10, no servo"),
         ("median", 2, 0.0276, 0.0282, "kappa 10, no servo"),
         ("median", 6, 0.0113, 0.0119, "kappa 10, kappa 10, no servo"),
         ("median", 6, 0.0179, 0.0185, "kappa 5"),
@@ -219,6 +223,15 @@ def test_claims_are_judged_by_their_worst_group() -> None:
     assert judge(_claim(statistic="median", pool=True), rows).figure == 3.5
     assert judge(_claim(where={"plant": ["b*", "c"]}, at_most=4), rows).figures == {"b": 4.0}
     assert not judge(_claim(where={"plant": ["c*"]}), rows).holds
+
+
+def test_what_more_fish_would_decide_is_open() -> None:
+    values = np.linspace(0.8, 1.2, 21)
+    rows = _rows(iteration=1, seed=range(21), true_max_abs_error_m_s=values)
+    near, far = judge(_claim(at_most=0.99), rows), judge(_claim(at_most=0.5), rows)
+    assert (near.holds, near.is_open, far.holds, far.is_open) == (False, True, False, False)
+    assert near.interval[0] < 0.99 < near.figure < near.interval[1]
+    assert not judge(_claim(at_most=1.1), rows).is_open, "it holds"
 
 
 def test_claims_against_others() -> None:

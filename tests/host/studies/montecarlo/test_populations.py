@@ -21,7 +21,7 @@ from tailbeat.studies.montecarlo.batch import FishBatch, batch_of
 from tailbeat.studies.montecarlo.cell import cells, run_cell
 from tailbeat.studies.montecarlo.populations import POPULATIONS, draw, still
 from tailbeat.studies.montecarlo.recipe import load, parse
-from tailbeat.studies.montecarlo.smallest_error import smallest_error
+from tailbeat.studies.montecarlo.smallest_error import smallest_errors
 
 MOST_RAD = math.pi / 4
 WANTED = thesis().speed_m_s.astype(np.float64)
@@ -63,8 +63,9 @@ def test_smallest_error_is_that_of_another_solver() -> None:
     bound = error_bound(plant_config("tank", {"kappa_per_m": 8.0}), thesis(), MOST_RAD)
     fish = {"kappa_per_m": 8.0, "seed": 1.0}
     start = [np.full(40, 0.4), np.clip(WANTED / 0.219 + 0.2, 0, MOST_RAD)]
-    found, amplitude = smallest_error("tank", fish, WANTED, 1.0, MOST_RAD, start)
+    (found, later), amplitude = smallest_errors("tank", fish, WANTED, 1.0, MOST_RAD, start, [1, 2])
     assert found == pytest.approx(bound.minimax_m_s, rel=0.01)
+    assert later == pytest.approx(found, rel=0.001), "it does not drift"
     assert amplitude.min() >= 0 and amplitude.max() <= MOST_RAD
 
 
