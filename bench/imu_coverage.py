@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 PROGRAM = Path("build/bench/imu_coverage")
 PLANTS = ("tank", "reactive")
-LEVELS = 4
+LEVELS = 5
 RECORDED_LEVEL = LEVELS
 RESAMPLES = 2000
 COVERED, SIGMA_OVER_RMS = (0.90, 0.99), 1.5

@@ -64,15 +64,19 @@ static fault_t reboot(app_t *app) {
     return FAULT_NONE;
 }
 
-static fault_t save_imu(app_t *app) {
+static fault_t change_imu(app_t *app, const link_command_t *command) {
     if (app->supervisor.state != STATE_IDLE) {
         return FAULT_WRONG_STATE;
     }
     if (app->imu.driver.state != IMU_STREAMING) {
         return FAULT_NO_IMU;
     }
-    imu_driver_save(&app->imu.driver);
-    return FAULT_NONE;
+    if (command->id == LINK_COMMAND_IMU_SAVE) {
+        imu_driver_save(&app->imu.driver);
+        return FAULT_NONE;
+    }
+    return imu_driver_give_row(&app->imu.driver, command->row, command->element) ? FAULT_NONE
+                                                                                 : FAULT_BAD_DATA;
 }
 
 static fault_t run(app_t *app, const link_command_t *command) {
@@ -102,7 +106,8 @@ static fault_t run(app_t *app, const link_command_t *command) {
     case LINK_COMMAND_REBOOT:
         return reboot(app);
     case LINK_COMMAND_IMU_SAVE:
-        return save_imu(app);
+    case LINK_COMMAND_IMU_ROW:
+        return change_imu(app, command);
     }
     return FAULT_UNKNOWN_COMMAND;
 }

@@ -244,6 +244,7 @@ fault_t swim_start(app_t *app, const link_command_t *command) {
         .estimate = settings_estimate(&app->params, app->reference.beat_s, app->reference.beats),
         .guard_beats = (uint16_t)params_whole(&app->params, PARAM_GUARD_BEATS),
         .late_s = app->params.value[PARAM_SPD_LATE_S],
+        .rate_scale_sigma = app->params.value[PARAM_IMU_SCALE_SD],
     };
     trial_run_begin(&app->run, &plan);
     app->executed = 0;

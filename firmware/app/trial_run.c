@@ -41,6 +41,7 @@ void trial_run_begin(trial_run_t *run, const trial_run_plan_t *plan) {
     run->estimate->config = plan->estimate;
     run->guard_beats = plan->guard_beats;
     run->late_s = plan->late_s;
+    run->rate_scale_sigma = plan->rate_scale_sigma;
     run->start_us = 0;
     run->told = run->measured = 0;
     run->stage = TRIAL_RUN_COLLECTING;
@@ -197,7 +198,7 @@ estimate_rest_t trial_run_rest_after(const trial_run_t *run, uint16_t executed, 
     return (estimate_rest_t){
         .begin_s = begin_s,
         .still_s = still_s > 0.0f && closed_s > begin_s ? closed_s - begin_s : 0.0f,
-        .tilt_sigma_rad = motion_tilt_sigma(&run->motion),
+        .tilt_sigma_rad = motion_tilt_sigma(&run->motion, run->rate_scale_sigma),
     };
 }
 

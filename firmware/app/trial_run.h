@@ -33,6 +33,7 @@ typedef struct {
     uint16_t told, measured; /* results given, of these with a speed */
     uint16_t guard_beats;    /* not to be trusted before a wall */
     float late_s;            /* how long after its slot a sample may come */
+    float rate_scale_sigma;  /* of the IMU's gyroscopes, relative */
     const reference_t *reference;
     const memory_t *memory; /* stored amplitudes, for the log */
     trial_log_t log;
@@ -48,6 +49,7 @@ typedef struct {
     estimate_config_t estimate;
     uint16_t guard_beats;
     float late_s;
+    float rate_scale_sigma;
 } trial_run_plan_t;
 
 /* The IMU's part at the start of a swim. */

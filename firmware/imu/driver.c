@@ -17,6 +17,8 @@
  */
 #define VERDICT_MARGIN_US (150000u + PATIENCE_MIN_US)
 #define REPLY_TYPICAL_BYTES 64u
+#define MILLION 1000000u
+#define ROWS_ALL ((1u << IMU_ROWS) - 1u)
 #define READ_CHARS 8u /* VNRRG,75 */
 /* A speed at which nothing was heard is not worth a third try. */
 #define TRIES_UNHEARD 2u
@@ -46,12 +48,14 @@ typedef enum {
     STEP_WINDOW,
     STEP_OUTPUT,
     STEP_RESUME,
+    STEP_SAVE_ACCEL,
+    STEP_SAVE_RATE,
     STEP_SAVE_MOUNT,
     STEP_SAVE,
     STEP_RESTART,
 } step_t;
 
-/* Small letters stand for numbers (number_for), m for a mounting. */
+/* Small letters stand for numbers (number_for), m for a mounting, c for a calibration. */
 static const char *const COMMANDS[] = {
     [STEP_FIND] = "VNRRG,01",
     [STEP_PAUSE] = "VNASY,0",
@@ -66,6 +70,8 @@ static const char *const COMMANDS[] = {
     [STEP_WINDOW] = "VNWRG,85,0,d,d,4,0,0,3,3,3,0",
     [STEP_OUTPUT] = "VNWRG,7k,p,d,11,0129,0040",
     [STEP_RESUME] = "VNASY,1",
+    [STEP_SAVE_ACCEL] = "VNWRG,25,c,0,0,0",
+    [STEP_SAVE_RATE] = "VNWRG,84,c,0,0,0",
     [STEP_SAVE_MOUNT] = "VNWRG,26,m",
     [STEP_SAVE] = "VNWNV",
     [STEP_RESTART] = "VNRST",
@@ -161,6 +167,27 @@ static char *put_number(char *at, uint32_t value) {
     return at;
 }
 
+static char *put_millionths(char *at, int32_t millionths) {
+    const uint32_t size = (uint32_t)(millionths < 0 ? -millionths : millionths);
+    if (millionths < 0) {
+        *at++ = '-';
+    }
+    char *end = put_number(at, size + MILLION); /* 7 digits or 8, the first is one too much */
+    memmove(end - 5, end - 6, 6);
+    at[0] = (char)(at[0] - 1);
+    at[1] = '.';
+    return end + 1;
+}
+
+static char *put_rows(const imu_driver_t *driver, char *at) {
+    const unsigned first = driver->step == STEP_SAVE_RATE ? 3 : 0;
+    for (unsigned i = 0; i < 9; i++) {
+        at = put_millionths(at, driver->row_millionths[first + i / 3][i % 3]);
+        *at++ = ',';
+    }
+    return at - 1;
+}
+
 /* The step's command as it is to be echoed, or for a read as it is to be answered. */
 static uint16_t wanted(const imu_driver_t *driver, char *out) {
     char *at = out;
@@ -170,6 +197,8 @@ static uint16_t wanted(const imu_driver_t *driver, char *out) {
             const size_t length = strlen(mount);
             memcpy(at, mount, length);
             at += length;
+        } else if (*c == 'c') {
+            at = put_rows(driver, at);
         } else if (*c >= 'a') {
             at = put_number(at, number_for(driver, *c));
         } else {
@@ -217,8 +246,10 @@ static bool same_field(const imu_text_t *body, const imu_text_t *want, unsigned 
 static bool same_values(const imu_driver_t *driver, const imu_text_t *body,
                         const imu_text_t *want) {
     const bool off = driver->step >= STEP_BINARY_1_OFF && driver->step <= STEP_BINARY_3_OFF;
-    /* What an output that is off would hold is the sensor's affair. */
-    const unsigned fields = off ? 3u : imu_line_fields(*want);
+    const bool rows = driver->step == STEP_SAVE_ACCEL || driver->step == STEP_SAVE_RATE;
+    /* What an output that is off would hold is the sensor's affair, as are the digits of a
+     * calibration. */
+    const unsigned fields = rows ? 2u : off ? 3u : imu_line_fields(*want);
     unsigned same = 2;
     while (same < fields && same_field(body, want, same)) {
         same++;
@@ -375,6 +406,8 @@ static bool needed(const imu_driver_t *driver, unsigned step) {
         return driver->config.heading >= 0;
     case STEP_MOUNT:
         return driver->config.mount != 0;
+    case STEP_SAVE_MOUNT:
+        return driver->needs_save;
     default:
         return true;
     }
@@ -567,6 +600,21 @@ void imu_driver_frame(imu_driver_t *driver, bool restart, uint64_t now_us) {
 
 void imu_driver_save(imu_driver_t *driver) { driver->save_wanted = true; }
 
+bool imu_driver_give_row(imu_driver_t *driver, unsigned row, const float element[3]) {
+    REQUIRE(row < IMU_ROWS);
+    for (unsigned i = 0; i < 3; i++) {
+        if (!(element[i] >= -IMU_ROW_MAX && element[i] <= IMU_ROW_MAX)) {
+            return false;
+        }
+    }
+    for (unsigned i = 0; i < 3; i++) {
+        const float millionths = element[i] * (float)MILLION;
+        driver->row_millionths[row][i] = (int32_t)(millionths + (millionths < 0 ? -0.5f : 0.5f));
+    }
+    driver->rows_given |= (uint8_t)(1u << row);
+    return true;
+}
+
 static void no_frame_came(imu_driver_t *driver) {
     if (frames_came(driver)) {
         search(driver); /* but damaged */
@@ -582,7 +630,9 @@ static void watch_stream(imu_driver_t *driver) {
         driver->save_wanted = false;
         state_problem(driver, IMU_PROBLEM_STARTING);
         driver->state = IMU_CONFIGURING;
-        enter(driver, driver->needs_save ? STEP_SAVE_MOUNT : STEP_SAVE);
+        const bool rows = driver->rows_given == ROWS_ALL;
+        driver->rows_given = 0;
+        enter(driver, rows ? STEP_SAVE_ACCEL : driver->needs_save ? STEP_SAVE_MOUNT : STEP_SAVE);
     }
 }
 

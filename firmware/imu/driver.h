@@ -5,7 +5,8 @@
  * awaited 100 ms and the time its bytes take, tried three times, and read back. All of it is
  * volatile: nothing is saved in the sensor unless imu_driver_save() asks for it. The mounting (26)
  * works only once it is saved and the sensor has restarted; so it is compared at first, and written
- * when saving: what the register reads is then what the sensor uses. A sensor that restarts is set
+ * when saving: what the register reads is then what the sensor uses. With it go the calibration of
+ * accelerometers and gyroscopes (25, 84), where one was given. A sensor that restarts is set
  * up again. It never gives up: with a problem found it starts over, and says which problem
  * meanwhile.
  *
@@ -29,7 +30,9 @@
 #define IMU_DRIVER_VERDICT_US 5000000u
 #define IMU_REPLY_TIMEOUT_US 100000u
 #define IMU_TRIES 3u
-#define IMU_COMMAND_MAX_BYTES 72u
+#define IMU_COMMAND_MAX_BYTES 136u
+#define IMU_ROWS 6u
+#define IMU_ROW_MAX 2.0f   /* of a matrix's elements */
 #define IMU_NAME_BYTES 25u /* zero-terminated; longer model or firmware names are cut */
 
 #define IMU_PROBLEM(name, number, meaning, remedy) IMU_PROBLEM_##name = (number),
@@ -75,6 +78,8 @@ typedef struct {
     uint8_t error_code; /* last $VNERR, 0 = none */
     uint8_t found_port; /* the port the frames come out of; 0 = not known */
     bool save_wanted;
+    uint8_t rows_given; /* a bit each; only with all of them they are written */
+    int32_t row_millionths[IMU_ROWS][3];
     /* The driver's own, up to the next comment; what it uses most stands first, for small code. */
     uint8_t step, phase, tries, baud_index;
     uint8_t port;   /* tried or found */
@@ -121,5 +126,12 @@ imu_action_t imu_driver_poll(imu_driver_t *driver, uint64_t now_us);
 /* Writes all of the sensor's settings into its flash, ours included, and restarts it, once, when it
  * streams: what register 26 needs to take effect. */
 void imu_driver_save(imu_driver_t *driver);
+
+/* Row |row| < IMU_ROWS of what the next saving writes into registers 25 (rows 0 to 2) and 84 (3 to
+ * 5), once all six have been given: matrices, close to the identity, that turn what the sensor
+ * measures into what is so, in its own axes; biases are set to 0. False: an element is beyond
+ * IMU_ROW_MAX. How the sensor prints such numbers is not laid down, so that only its answer is
+ * checked, not the values in it. */
+bool imu_driver_give_row(imu_driver_t *driver, unsigned row, const float element[3]);
 
 #endif

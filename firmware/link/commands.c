@@ -11,7 +11,7 @@
 typedef struct {
     uint16_t command;
     bool as_int;
-    float param1, param2, param3;
+    float param1, param2, param3, param4;
     int32_t x, y; /* COMMAND_INT only */
 } request_t;
 
@@ -99,6 +99,18 @@ static bool read_commit(const request_t *request, link_command_t *command) {
     return true;
 }
 
+static bool read_row(const request_t *request, link_command_t *command) {
+    uint32_t row = 0;
+    if (!read_choice(request, IMU_ROWS, &row)) {
+        return false;
+    }
+    command->row = (uint8_t)row;
+    command->element[0] = request->param2;
+    command->element[1] = request->param3;
+    command->element[2] = request->param4;
+    return true;
+}
+
 typedef struct {
     uint16_t command;
     link_command_id_t id;
@@ -117,6 +129,7 @@ static const row_t rows[] = {
     {TAILBEAT_CMD_CLEAR, LINK_COMMAND_CLEAR, read_nothing},
     {TAILBEAT_CMD_COMMIT, LINK_COMMAND_COMMIT, read_commit},
     {TAILBEAT_CMD_IMU_SAVE, LINK_COMMAND_IMU_SAVE, read_nothing},
+    {TAILBEAT_CMD_IMU_ROW, LINK_COMMAND_IMU_ROW, read_row},
 };
 
 static const row_t *find_row(uint16_t command) {
@@ -282,7 +295,8 @@ void link_on_command_long(link_t *link, const link_received_t *in) {
     const request_t request = {.command = message.command,
                                .param1 = message.param1,
                                .param2 = message.param2,
-                               .param3 = message.param3};
+                               .param3 = message.param3,
+                               .param4 = message.param4};
     handle(link, in, message.target_system, message.target_component, &request);
 }
 
@@ -295,6 +309,7 @@ void link_on_command_int(link_t *link, const link_received_t *in) {
         .param1 = message.param1,
         .param2 = message.param2,
         .param3 = message.param3,
+        .param4 = message.param4,
         .x = message.x,
         .y = message.y,
     };

@@ -56,7 +56,8 @@ typedef enum {
     LINK_COMMAND_PARAMS_SAVE,
     LINK_COMMAND_PARAMS_RESET,
     LINK_COMMAND_IMU_SAVE,
-    LINK_COMMAND_REBOOT /* take note and return; reset once the ACK has left (200 ms later) */
+    LINK_COMMAND_IMU_ROW, /* row, element */
+    LINK_COMMAND_REBOOT   /* take note and return; reset once the ACK has left (200 ms later) */
 } link_command_id_t;
 
 typedef enum {
@@ -72,6 +73,8 @@ typedef struct {
     float issued_s; /* board time; NaN = not given */
     float blink_s;  /* 0 to LINK_BLINK_MAX_S */
     bool wall;      /* the fish came too close to one */
+    uint8_t row;    /* < IMU_ROWS */
+    float element[3];
     link_file_t file;
     uint32_t length_bytes;
     uint32_t crc;

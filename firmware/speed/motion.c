@@ -16,9 +16,6 @@
 #define TURN_STEPS_PER_RAD 1e4f
 #define TURN_STEPS_MAX 32767.0f
 
-/* Relative, each axis its own: of a bad unit. */
-#define RATE_SCALE_SIGMA 1e-3f
-
 /* Means over a frame, in the level frame. */
 typedef struct {
     float accel_m_s2[3], nose[3], yaw_rad_s;
@@ -200,8 +197,8 @@ static void cone(motion_t *motion, const float angle[3]) {
     }
 }
 
-float motion_tilt_sigma(const motion_t *motion) {
-    return RATE_SCALE_SIGMA * real_sqrt(dot(motion->coned_rad, motion->coned_rad));
+float motion_tilt_sigma(const motion_t *motion, float scale_sigma) {
+    return scale_sigma * real_sqrt(dot(motion->coned_rad, motion->coned_rad));
 }
 
 /* One frame, or what stands for missing ones. The turn has a term for a rate whose direction

@@ -66,9 +66,10 @@ void motion_push(motion_t *motion, const imu_frame_t *frame, float time_s, float
 bool motion_forward(const motion_t *motion, uint16_t index, float beat_s, float *gain_m_s,
                     float *way_m);
 
-/* How far off the tilt may be at the end of the swim because no gyroscope's scale is exact: a fish
- * that rolls out of step with its yaw turns that into tilt, beat by beat. */
-float motion_tilt_sigma(const motion_t *motion);
+/* How far off the tilt may be at the end of the swim because no gyroscope's scale is exact (each
+ * axis's has a relative standard deviation of |scale_sigma|): a fish that rolls out of step with
+ * its yaw turns that into tilt, beat by beat. */
+float motion_tilt_sigma(const motion_t *motion, float scale_sigma);
 
 /* How far the nose's heading turned in slot |index|, in 1e-4 rad, clockwise from above.
  * SPEED_NO_MOTION where frames do not cover it whole, where it is not in the ring, and beyond 3.27

@@ -50,6 +50,10 @@ void felt_init(felt_t *felt, const sim_config_t *config) {
 
 /* Smooth between independent values. */
 static void tremble(const felt_t *felt, uint64_t time_us, double out[3]) {
+    out[0] = out[1] = out[2] = 0;
+    if (felt->tremor_rad <= 0) {
+        return;
+    }
     const uint64_t knot = time_us / TREMOR_KNOT_US;
     const double u = (double)(time_us % TREMOR_KNOT_US) / TREMOR_KNOT_US;
     const double part = u * u * (3 - 2 * u);
@@ -60,14 +64,34 @@ static void tremble(const felt_t *felt, uint64_t time_us, double out[3]) {
     }
 }
 
-static void hold(felt_t *felt, felt_frame_t *frame, bool in_hand) {
-    if (felt->tremor_rad <= 0) {
-        return;
+static void turned(const felt_t *felt, uint64_t time_us, double out[3]) {
+    const double since_s = (double)(int64_t)(time_us - felt->turn_begin_us);
+    const double whole_s = (double)(felt->turn_end_us - felt->turn_begin_us);
+    const double u = since_s <= 0 ? 0 : since_s >= whole_s ? 1 : since_s / whole_s;
+    const double part = u * u * (3 - 2 * u);
+    for (unsigned i = 0; i < 3; i++) {
+        out[i] += felt->turn_from_rad[i] + part * (felt->turn_to_rad[i] - felt->turn_from_rad[i]);
     }
+}
+
+void felt_turn(felt_t *felt, const double angle_rad[3], double within_s, uint64_t now_us) {
+    double from[3] = {0};
+    turned(felt, now_us, from);
+    for (unsigned i = 0; i < 3; i++) {
+        felt->turn_from_rad[i] = from[i];
+        felt->turn_to_rad[i] = angle_rad[i];
+    }
+    felt->turn_begin_us = now_us;
+    felt->turn_end_us = now_us + (uint64_t)(within_s * 1e6);
+}
+
+static void hold(felt_t *felt, felt_frame_t *frame, bool in_hand) {
     const double most = (double)(frame->end_us - frame->begin_us) * 1e-6 / GRASP_S;
-    tremble(felt, frame->begin_us, frame->tremor_rad[0]);
+    tremble(felt, frame->begin_us, frame->hand_rad[0]);
     felt->held += limited((in_hand ? 1 : 0) - felt->held, most);
-    tremble(felt, frame->end_us, frame->tremor_rad[1]);
+    tremble(felt, frame->end_us, frame->hand_rad[1]);
+    turned(felt, frame->begin_us, frame->hand_rad[0]);
+    turned(felt, frame->end_us, frame->hand_rad[1]);
 }
 
 void felt_frame(felt_t *felt, const plant_t *plant, bool in_hand, double tail_from_rad,
@@ -132,8 +156,8 @@ static felt_moment_t moment(const felt_t *felt, const felt_frame_t *frame, doubl
     const double side = frame->sway_m_per_rad * rate;
     double hand[3];
     for (unsigned axis = 0; axis < 3; axis++) {
-        hand[axis] = frame->tremor_rad[0][axis] +
-                     u * (frame->tremor_rad[1][axis] - frame->tremor_rad[0][axis]);
+        hand[axis] =
+            frame->hand_rad[0][axis] + u * (frame->hand_rad[1][axis] - frame->hand_rad[0][axis]);
     }
     return (felt_moment_t){
         .x_m_s = along(frame->vx_m_s + i, steps - i) - side * sin(heading),

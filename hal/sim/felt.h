@@ -21,14 +21,16 @@ typedef struct {
     double tail_rad[2], tail_rate_rad_s[2]; /* about the mean, at the ends */
     double tilt_rad[2];
     double yaw_per_tail, sway_m_per_rad;
-    double tremor_rad[2][3]; /* yaw, pitch, roll at the ends */
+    double hand_rad[2][3]; /* what a hand adds to yaw, pitch and roll, at the ends */
 } felt_frame_t;
 
 typedef struct {
     double roll_per_tail, roll_s, cone_s; /* the latter two: roll and pitch per rate of the tail */
     uint64_t tremor_key;
-    double tremor_rad; /* of the hand that holds it; 0 = none */
-    double held;       /* 1 = by a hand, 0 = free */
+    double tremor_rad;                       /* of the hand that holds it; 0 = none */
+    double held;                             /* 1 = by a hand, 0 = free */
+    double turn_from_rad[3], turn_to_rad[3]; /* by a hand: yaw, pitch, roll ... */
+    uint64_t turn_begin_us, turn_end_us;     /* ... smoothly from then to then */
     felt_frame_t frame[FELT_FRAMES];
     uint32_t frames;       /* added; the newest FELT_FRAMES are held */
     double carried_m_s[2]; /* felt velocity minus velocity over ground */
@@ -54,6 +56,10 @@ void felt_frame(felt_t *felt, const plant_t *plant, bool in_hand, double tail_fr
 
 /* The velocity over ground jumps without being felt, and the heading by |turn_rad|. */
 void felt_carried(felt_t *felt, double by_x_m_s, double by_y_m_s, double turn_rad);
+
+/* A hand turns it within |within_s|, > 0, so that yaw, pitch and roll are that much more than
+ * without it; turns count. */
+void felt_turn(felt_t *felt, const double angle_rad[3], double within_s, uint64_t now_us);
 
 /* Between the oldest frame held and the newest; beyond them the state at that end. */
 felt_moment_t felt_at(const felt_t *felt, uint64_t time_us);

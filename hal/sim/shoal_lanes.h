@@ -46,8 +46,8 @@ typedef struct {
     shoal_row_t trace_v_m_s[SUBSTEPS + 1], trace_way_m[SUBSTEPS + 1];
     /* camera */
     shoal_row_t flow_m_s, base_m; /* position at the beat's begin */
-    shoal_row_t ahead;               /* part of the way that is along the tank */
-    shoal_row_t swayed_m[2];         /* the head's sway along it as the frame begins and ends */
+    shoal_row_t ahead;            /* part of the way that is along the tank */
+    shoal_row_t swayed_m[2];      /* the head's sway along it as the frame begins and ends */
     shoal_row_t noise_m;
     shoal_keys_t noise_key, lost_key, lost_below;
     shoal_window_t window[2];

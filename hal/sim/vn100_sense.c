@@ -63,7 +63,7 @@ static void draw_biases(vn100_sense_t *s) {
 }
 
 void vn100_sense_start(vn100_sense_t *s, uint64_t now_us, const vn100_settings_t *settings) {
-    static const double identity[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    static const double identity[12] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
     s->power_us = now_us;
     s->key = noise_key(s->seed, NOISE_IMU, s->starts);
     draw_biases(s);
@@ -71,7 +71,11 @@ void vn100_sense_start(vn100_sense_t *s, uint64_t now_us, const vn100_settings_t
     s->known_accel = false;
     memset(s->tare_deg, 0, sizeof s->tare_deg);
     memcpy(s->mounting, vn100_setting(settings, 26), sizeof s->mounting);
-    s->mounted = memcmp(s->mounting, identity, sizeof identity) != 0;
+    memcpy(s->accel_compensation, vn100_setting(settings, 25), sizeof s->accel_compensation);
+    memcpy(s->rate_compensation, vn100_setting(settings, 84), sizeof s->rate_compensation);
+    s->compensated = memcmp(s->accel_compensation, identity, sizeof identity) != 0 ||
+                     memcmp(s->rate_compensation, identity, sizeof identity) != 0;
+    s->mounted = memcmp(s->mounting, identity, sizeof s->mounting) != 0;
     s->drift_tick = UINT64_MAX;
     s->lean_m_s2[0] = s->lean_m_s2[1] = 0;
     s->any = false;
@@ -208,9 +212,8 @@ static void feel_rate(const span_t *span, double out[3]) {
     const double roll = (span->to.roll_rad - span->from.roll_rad) / span->span_s;
     /* The last row of body-to-level holds what a turn about the vertical is in the body. */
     const double *down = span->body + 6;
-    const double cos_pitch = sqrt(down[1] * down[1] + down[2] * down[2]);
-    const double sin_roll = cos_pitch > 0 ? down[1] / cos_pitch : 0;
-    const double cos_roll = cos_pitch > 0 ? down[2] / cos_pitch : 1;
+    double sin_roll, cos_roll;
+    sine_cosine(0.5 * (span->from.roll_rad + span->to.roll_rad), &sin_roll, &cos_roll);
     out[0] = roll + yaw * down[0];
     out[1] = pitch * cos_roll + yaw * down[1];
     out[2] = -pitch * sin_roll + yaw * down[2];
@@ -225,6 +228,12 @@ static void spoil(const double *matrix, const double error[3], double most, doub
     for (unsigned i = 0; i < 3; i++) {
         v[i] = limited(told[i] + error[i], most);
     }
+}
+
+/* Registers 25 and 84: a matrix, and a bias that is taken off before. */
+static void compensate(const double row[12], double v[3]) {
+    const double told[3] = {v[0] - row[9], v[1] - row[10], v[2] - row[11]};
+    multiply(row, told, v);
 }
 
 /* The filter settles within seconds after a start and is slow afterwards. */
@@ -301,6 +310,10 @@ static void measure(vn100_sense_t *s, const vn100_settings_t *settings, uint64_t
     feel_rate(&turned, sample->rate_rad_s);
     spoil(s->flawed ? s->accel_matrix : NULL, accel_error, ACCEL_MAX_M_S2, sample->accel_m_s2);
     spoil(s->flawed ? s->rate_matrix : NULL, rate_error, RATE_MAX_RAD_S, sample->rate_rad_s);
+    if (s->compensated) {
+        compensate(s->accel_compensation, sample->accel_m_s2);
+        compensate(s->rate_compensation, sample->rate_rad_s);
+    }
     multiply(span.body, sample->accel_m_s2, level);
     level[2] -= settings->value[VN100_GRAVITY];
     lean(s, level, passed > 0 ? passed : accel_window, own_s);

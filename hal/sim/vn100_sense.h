@@ -48,8 +48,10 @@ typedef struct {
     uint64_t key;
     bool known_accel; /* $VNKAD: the accelerometer is left out of the attitude */
     double tare_deg[3];
-    double mounting[9]; /* register 26 as it was at the start */
-    bool mounted;       /* ... and is not the identity */
+    double mounting[9];                                   /* register 26 as it was at the start */
+    double accel_compensation[12], rate_compensation[12]; /* registers 25, 84, likewise */
+    bool compensated;
+    bool mounted; /* ... and is not the identity */
     /* Offsets: [0...2] acceleration m/s^2, [3...5] rate rad/s, constant since the start; and the
      * drift's line from |drift_tick| on. */
     double bias[6], attitude_bias_deg[3];

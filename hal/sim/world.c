@@ -158,3 +158,9 @@ void world_set_camera(world_t *world, bool on) { world->camera.on = on; }
 void world_set_tilt_rad(world_t *world, double roll_rad) {
     world->fish.felt.tilt_wanted_rad = roll_rad;
 }
+
+void world_turn(world_t *world, double roll_rad, double pitch_rad, double yaw_rad,
+                double within_s) {
+    const double angle_rad[3] = {yaw_rad, pitch_rad, roll_rad};
+    felt_turn(&world->fish.felt, angle_rad, within_s, world->fish.time_us);
+}

@@ -121,6 +121,9 @@ void world_set_battery_v(world_t *world, double volts);
 void world_set_imu(world_t *world, uint64_t now_us, bool plugged);
 void world_set_camera(world_t *world, bool on);
 void world_set_tilt_rad(world_t *world, double roll_rad);
+/* A hand turns the fish, at rest, to that attitude against the one it has without the hand, within
+ * |within_s| > 0; whole turns count. It stays there until it is turned back. */
+void world_turn(world_t *world, double roll_rad, double pitch_rad, double yaw_rad, double within_s);
 
 /* The plant alone, noise-free: mean speed over each of |beats| beats for the given amplitudes, from
  * rest. False when the config makes no sense. No board, no allocation. */

@@ -32,18 +32,21 @@
 typedef struct {
     const char *name;
     double bias_mg, scale, misaligned_rad, roll_rad, tremor_rad;
+    float scale_sd; /* as IMU_SCALE_SD */
 } level_t;
 
 static const level_t levels[] = {
-    {"data sheet", 1, 0, 0, 0, 0},
-    {"mild", 1, 5e-4, 0.05 * DEG, 2 * DEG, 0.02 * DEG},
-    {"stress", 5, 1e-3, 0.05 * DEG, 3 * DEG, 0.05 * DEG},
-    {"stress, 16 mg", 16, 1e-3, 0.05 * DEG, 3 * DEG, 0.05 * DEG},
+    {"data sheet", 1, 0, 0, 0, 0, 1e-3f},
+    {"mild", 1, 5e-4, 0.05 * DEG, 2 * DEG, 0.02 * DEG, 1e-3f},
+    {"stress", 5, 1e-3, 0.05 * DEG, 3 * DEG, 0.05 * DEG, 1e-3f},
+    {"stress, 16 mg", 16, 1e-3, 0.05 * DEG, 3 * DEG, 0.05 * DEG, 1e-3f},
+    /* What bench/imu_calibration.py leaves of its scales and axes, and more. */
+    {"stress, calibrated", 5, 1e-4, 0.01 * DEG, 3 * DEG, 0.05 * DEG, 2e-4f},
 };
 #define LEVELS (sizeof levels / sizeof levels[0])
 /* Of level 2, but with the noise of a real sensor at rest; for the test only. */
 static const level_t recorded_stress = {
-    "stress, recorded noise", 0, 1e-3, 0.05 * DEG, 3 * DEG, 0.05 * DEG};
+    "stress, recorded noise", 0, 1e-3, 0.05 * DEG, 3 * DEG, 0.05 * DEG, 1e-3f};
 
 /* A field recording of a VN-100 that lies still, 10 Hz: what it says beyond its means. */
 #define RECORDED "F00294_B.parsed.csv"
@@ -244,13 +247,13 @@ static void swim_tail(void) {
     }
 }
 
-static void end(swim_t *swim) {
+static void end(swim_t *swim, const level_t *level) {
     rest_mean_t mean;
     REQUIRE(rest_get(&rest, &mean));
     const float begin_s = since_start_s(world_time_us(world)) - mean.still_s;
     const estimate_rest_t after = {.begin_s = begin_s,
                                    .still_s = (float)speed.next_close * SPEED_SLOT_S - begin_s,
-                                   .tilt_sigma_rad = motion_tilt_sigma(&motion)};
+                                   .tilt_sigma_rad = motion_tilt_sigma(&motion, level->scale_sd)};
     estimate_after(&estimate, BEATS, &after);
     while (!estimate_finish(&estimate)) {
     }
@@ -266,7 +269,7 @@ static void swim_once(swim_t *swim, uint64_t seed, sim_plant_t plant, const leve
     begin();
     swim_tail();
     frames(CAUGHT_FRAMES, 0);
-    end(swim);
+    end(swim, level);
     world_free(world);
 }
 

@@ -41,7 +41,7 @@ static imu_driver_t driver;
 static imu_driver_config_t config;
 static uint64_t now_us;
 static uint32_t our_baud;
-static char log_lines[LOG_LINES][64];
+static char log_lines[LOG_LINES][IMU_COMMAND_MAX_BYTES];
 static size_t log_count;
 
 /* Texts here are shorter than their room; if one is not, the test is wrong. */
@@ -912,6 +912,55 @@ static void saving_happens_once_and_only_when_asked(void) {
     TEST_ASSERT_EQUAL_STRING("2,8,11,0129,0040", sensor.flash[75]);
 }
 
+static void give_rows(unsigned count) {
+    static const float ROWS[IMU_ROWS][3] = {{1, 0, 0},          {0, 1, 0},
+                                            {0, 0, 1},          {1.000123f, -0.000512f, 0.25f},
+                                            {-1.5f, 0.999f, 0}, {0, 0, 2}};
+    for (unsigned row = 0; row < count; row++) {
+        TEST_ASSERT_TRUE(imu_driver_give_row(&driver, row, ROWS[row]));
+    }
+}
+
+static void a_calibration_is_written_when_it_is_whole(void) {
+    start();
+    assert_streams();
+    give_rows(IMU_ROWS - 1u);
+    imu_driver_save(&driver);
+    run_us(10 * SECOND_US);
+    assert_never_sent("VNWRG,84");
+    TEST_ASSERT_EQUAL_UINT32(1, sensor.saves);
+
+    log_count = 0;
+    give_rows(IMU_ROWS);
+    imu_driver_save(&driver);
+    run_us(STEP_US);
+    assert_streams();
+    assert_sent("VNWRG,25,1.000000,0.000000,0.000000,0.000000,1.000000,0.000000,0.000000,0.000000,"
+                "1.000000,0,0,0");
+    assert_sent("VNWRG,84,1.000123,-0.000512,0.250000,-1.500000,0.999000,0.000000,0.000000,"
+                "0.000000,2.000000,0,0,0");
+    TEST_ASSERT_TRUE(place_of("VNWRG,84") < place_of("VNWNV"));
+    TEST_ASSERT_EQUAL_UINT32(2, sensor.saves);
+
+    imu_driver_save(&driver); /* once only */
+    log_count = 0;
+    run_us(10 * SECOND_US);
+    assert_never_sent("VNWRG,84");
+}
+
+static void rows_that_make_no_sense_are_refused(void) {
+    const float bad[][3] = {{2.1f, 0, 0}, {0, -2.1f, 0}, {0, 0, NAN}, {INFINITY, 0, 0}};
+    start();
+    assert_streams();
+    give_rows(IMU_ROWS - 1u);
+    for (unsigned i = 0; i < 4; i++) {
+        TEST_ASSERT_FALSE(imu_driver_give_row(&driver, IMU_ROWS - 1u, bad[i]));
+    }
+    imu_driver_save(&driver);
+    run_us(10 * SECOND_US);
+    assert_never_sent("VNWRG,84");
+}
+
 static void a_save_waits_for_the_stream(void) {
     sensor.dead = true;
     start();
@@ -1079,6 +1128,8 @@ int main(void) {
     RUN_TEST(the_mounting_it_has_needs_nothing);
     RUN_TEST(mountings_are_rotations);
     RUN_TEST(saving_happens_once_and_only_when_asked);
+    RUN_TEST(a_calibration_is_written_when_it_is_whole);
+    RUN_TEST(rows_that_make_no_sense_are_refused);
     RUN_TEST(a_save_waits_for_the_stream);
     RUN_TEST(lines_that_nobody_asked_for_change_nothing);
     RUN_TEST(nonsense_in_between_does_not_keep_it_from_the_stream);

@@ -41,6 +41,7 @@ static sim_config_t any_fish(void) {
 
 static void be_quiet(sim_config_t *c) {
     c->gain_sigma = c->flow_sigma_m_s = c->start_sigma_m_s = c->camera_noise_m = 0;
+    c->place_sigma_rad = 0;
 }
 
 static void any_shoal(void) {

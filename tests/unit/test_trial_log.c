@@ -219,7 +219,7 @@ static void test_a_whole_trial_and_its_upload(void) {
     TEST_ASSERT_EQUAL_UINT32(80, count_messages('D', 1, &at));
     TEST_ASSERT_EQUAL_UINT16(39, bytes_get_u16(content + at + 30));
     TEST_ASSERT_LESS_OR_EQUAL_UINT32(trial_log_size_bound(40, 46), content_bytes);
-    TEST_ASSERT_LESS_OR_EQUAL_UINT32(20500, trial_log_size_bound(40, 46));
+    TEST_ASSERT_LESS_OR_EQUAL_UINT32(20530, trial_log_size_bound(40, 46));
     TEST_ASSERT_EQUAL_UINT32(0, store.failures);
     export_log();
 }

@@ -9,6 +9,7 @@ import numpy as np
 
 from tailbeat.board.connect import open_transport, require_board
 from tailbeat.board.memory import BoardMemory
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import Refused
 from tailbeat.core.faults import IMU_STARTING, NO_TRIAL, WRONG_STATE, refusal
 from tailbeat.core.records import decode_reference
@@ -173,6 +174,24 @@ class Fish(BoardMemory):
     def imu_save(self) -> None:
         """Writes the IMU's settings into its own flash and restarts it; IDLE only."""
         self.link.command(mavlink.TAILBEAT_CMD_IMU_SAVE)
+
+    def imu_calibrate(self, rows: F64) -> None:
+        """Write a calibration into the IMU's own flash and restart it; IDLE only.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Shape (6, 3): the matrix that the accelerometers' values are multiplied with, then the
+            gyroscopes', in the sensor's own axes.
+
+        Raises
+        ------
+        Refused
+            The board is not idle, the IMU does not stream, or an element is beyond 2.
+        """
+        for number, row in enumerate(rows):
+            self.link.command(mavlink.TAILBEAT_CMD_IMU_ROW, number, *map(float, row))
+        self.imu_save()
 
     def speed_source(self) -> SpeedSource:
         """Where the board takes the speed of a beat from."""

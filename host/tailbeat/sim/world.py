@@ -29,6 +29,7 @@ _NEVER = (1 << 64) - 1
 _SPEED_MAX_M_S = 10.0
 _FAR_M = 100.0
 _HOLD_MAX_S = 1e5
+_TURN_MAX_RAD, _TURN_MIN_S = 100.0, 0.02
 _VOLTS_MAX = 60.0
 _GAIN_MAX = 10.0
 _CENTRE_MAX_RAD = 0.5
@@ -131,6 +132,15 @@ class World:
         """Rolls the fish."""
         lib.world_set_tilt_rad(self._world, _sensible("a tilt", roll_rad, math.pi))
 
+    def turn(self, roll_rad: float, pitch_rad: float, yaw_rad: float, within_s: float) -> None:
+        """A hand turns the fish, at rest, to that attitude within ``within_s``; whole turns count.
+        It stays there until it is turned back."""
+        angles = [
+            _sensible("an angle", one, _TURN_MAX_RAD) for one in (roll_rad, pitch_rad, yaw_rad)
+        ]
+        within_s = _sensible("a time", within_s, _HOLD_MAX_S, _TURN_MIN_S)
+        lib.world_turn(self._world, *angles, within_s)
+
     def set_battery_v(self, volts: float) -> None:
         """Battery voltage from now on."""
         lib.world_set_battery_v(self._world, _sensible("a voltage", volts, _VOLTS_MAX, 0.0))
@@ -220,6 +230,11 @@ VERBS = {
         Verb("place X_M Y_M HEADING_RAD", "somebody puts the fish there", World.place),
         Verb("start M_S", "speed at which the next trial starts", World.set_start),
         Verb("tilt RAD", "rolls the fish", World.set_tilt_rad),
+        Verb(
+            "turn ROLL_RAD PITCH_RAD YAW_RAD S",
+            "a hand turns the fish, at rest, to that attitude within S; whole turns count",
+            World.turn,
+        ),
         Verb("battery V", "the pack's voltage from now on", World.set_battery_v),
         Verb(
             "swap V [GAIN] [CENTRE_RAD]",

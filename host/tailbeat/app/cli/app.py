@@ -55,6 +55,9 @@ COMMANDS = {
     "board key delete": Entry("Delete a key on this computer", was="key forget"),
     "board imu status": Entry("Print the IMU's state, and what to do"),
     "board imu save": Entry("Write the IMU's settings into its own flash"),
+    "board imu calibrate": Entry(
+        "Calibrate it by turning the fish by hand", module="imu_calibration"
+    ),
     "board imu record": Entry("Write the IMU's raw frames to a CSV file"),
     "board imu decode": Entry("Decode a VN-100's recording, or listen to one", was="vn100"),
     "session commission": Entry(
