@@ -22,7 +22,7 @@ import numpy as np
 
 from tailbeat.board.fish import Fish
 from tailbeat.core.arrays import F64
-from tailbeat.sensors.vn100.calibration import Calibration, Recording, calibrate, missing
+from tailbeat.sensors.vn100.calibration import ImuCalibration, Recording, calibrate, missing
 from tailbeat.sim.hand import Hand
 
 FLAWS = {"imu_rate_scale": 1e-3, "imu_accel_scale": 1e-3, "imu_misaligned_rad": 1e-3}
@@ -43,10 +43,10 @@ class Load:
 FULL, TINY = Load(100, judged=True), Load(2, judged=False)
 
 
-def turned(seed: int, rests: int = 0, **world: float) -> tuple[Calibration, int, float]:
+def turned(seed: int, world: dict[str, float], rests: int = 0) -> tuple[ImuCalibration, int, float]:
     """(what was found, rests, s) by the turns of a simulated hand: until enough is known, or after
     so many rests."""
-    with Fish.connect("sim:tank", seed=seed, **FLAWS, **world) as fish:
+    with Fish.connect("sim:tank", seed=seed, **(FLAWS | world)) as fish:
         assert fish.sim is not None
         fish.imu_verdict()
         found, hand, begin_s = Recording(), Hand(fish.sim.world), None
@@ -64,8 +64,8 @@ def turned(seed: int, rests: int = 0, **world: float) -> tuple[Calibration, int,
 def errors(seed: int) -> tuple[F64, F64, float, int, float]:
     """(errors of the scales over their deviations, those of the gyroscopes' matrix, the worst
     angle of an axis, rests, s)."""
-    found, rests, duration_s = turned(seed, **TREMBLING)
-    true, *_ = turned(seed, rests, **STILL)
+    found, rests, duration_s = turned(seed, TREMBLING)
+    true, *_ = turned(seed, STILL, rests)
     off = found.rate - true.rate
     across = off - np.diag(np.diag(off))
     return np.diag(off) / found.scale_sd, off, float(np.abs(across).max()), rests, duration_s
@@ -80,13 +80,12 @@ def main(load: Load = FULL, first_seed: int | None = None) -> int:
     scale = np.array([np.diag(one) for one in off])
     across = off[:, ~np.eye(3, dtype=bool)]
     inside = float(np.mean(np.abs(over) < 2))
+    scale_part, across_rad = (math.sqrt(np.mean(one**2)) for one in (scale, across))
+    rests, duration_s = (np.median([row[k] for row in rows]) for k in (3, 4))
+    print(f"{load.sensors} sensors, scales off by 0.1 %, axes by 0.06 degrees, seeds from {first}:")
     print(
-        f"{load.sensors} sensors, scales and axes off by 0.1 % and 0.06 degrees, seeds from {first}:"
-    )
-    print(
-        f"  scales then off by {100 * np.sqrt(np.mean(scale**2)):.4f} % RMS, axes by"
-        f" {math.degrees(np.sqrt(np.mean(across**2))):.4f} degrees; scales in 2 sigma {inside:.1%};"
-        f" {np.median([row[3] for row in rows]):.0f} rests, {np.median([row[4] for row in rows]):.0f} s"
+        f"  afterwards {100 * scale_part:.4f} % RMS and {math.degrees(across_rad):.4f} degrees;"
+        f" scales in 2 sigma {inside:.1%}; {rests:.0f} rests, {duration_s:.0f} s"
     )
     return int(load.judged and not COVERED[0] <= inside <= COVERED[1])
 

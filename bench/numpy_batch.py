@@ -239,7 +239,8 @@ def swim(config: Any, amplitude_rad: Array, drawn: Disturbances) -> BatchTrials:
 def disagreement(fish: int, beats: int) -> float:
     """Largest difference to the simulator's batch in any result without noise, m/s."""
     quiet = dict.fromkeys(
-        ("gain_sigma", "flow_sigma_m_s", "start_sigma_m_s", "camera_noise_m"), 0.0
+        ("gain_sigma", "flow_sigma_m_s", "start_sigma_m_s", "camera_noise_m", "place_sigma_rad"),
+        0.0,
     )
     batch = FishBatch("tank", [quiet] * fish)
     rng = np.random.default_rng(1)

@@ -4,7 +4,7 @@ Four peers, written for this comparison: norm-optimal ILC with an identified ARX
 with a zero-phase Q filter, a gradient law with the ARX model's adjoint, and a one-step law with a
 Gaussian process (as AI-MOLE does: a GP of the next speed, linearised, then a norm-optimal step).
 Each gets the same identification runs as the model-based law; its settings are the best of a grid
-on development fish. Usage: peers.py tune|run POPULATION FISH FIRST_SEED
+on development fish. Usage: peers.py [tune|run POPULATION FISH FIRST_SEED]
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from __future__ import annotations
 import json
 import math
 import os
+import secrets
 import sys
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import product
@@ -34,10 +36,20 @@ from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import ModelStepSetting, propose_by
 from tailbeat.studies.montecarlo.batch import FishBatch
 from tailbeat.studies.montecarlo.learners import identify, speeds_of
-from tailbeat.studies.montecarlo.populations import draw, still
+from tailbeat.studies.montecarlo.populations import POPULATIONS, draw, still
 
 Grid = dict[str, list[float]]
 
+
+@dataclass(frozen=True)
+class Load:
+    """How much is measured."""
+
+    populations: tuple[str, ...]
+    fish: int
+
+
+FULL, TINY = Load(tuple(POPULATIONS), 40), Load(("mild",), 1)
 MOST_RAD, TRIALS, FIRST_TRIAL = math.pi / 4, 6, 9
 WANTED = thesis().speed_m_s.astype(np.float64)
 BEATS = len(WANTED)
@@ -285,11 +297,20 @@ def run(population: str, fish: int, first: int, pool: ProcessPoolExecutor) -> No
     print(f"{population:12} ours - best peer:", np.round(medians["model-based"] - best, 1))
 
 
-def main() -> None:
-    what, population, fish, first = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+def main(load: Load = FULL, arguments: Sequence[str] = ()) -> int:
+    """``tune`` or ``run`` as told; without arguments all populations, with fresh fish."""
+    first = secrets.randbits(30)
     with ProcessPoolExecutor(2) as pool:
-        (tune if what == "tune" else run)(population, fish, first, pool)
+        if not arguments:
+            print(f"max|e| of the inputs of trials 1 to {TRIALS}, mm/s, medians over")
+            print(f"{load.fish} fish, seeds from {first} on:")
+            for population in load.populations:
+                run(population, load.fish, first, pool)
+            return 0
+        what, population, fish, first_seed = arguments
+        {"tune": tune, "run": run}[what](population, int(fish), int(first_seed), pool)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main(FULL, sys.argv[1:]))

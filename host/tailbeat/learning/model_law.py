@@ -295,7 +295,7 @@ def _moved(belief: Belief) -> list[str]:
     return found
 
 
-FORMAT = "tailbeat proposal 1"
+FORMAT = "tailbeat proposal 2"  # 1: of fish in four numbers
 
 
 def document_of(
@@ -334,8 +334,14 @@ def _of(source: object, *names: str) -> dict[str, Any]:
 def repropose(document: dict[str, Any], trials: Sequence[TrialSpeeds]) -> Proposal:
     """The proposal made anew; ``trials``: of the fish, in any order, those it names among them.
 
-    Raises InputError when one is missing or no longer what it was, or the document is damaged.
+    Raises InputError when one is missing or no longer what it was, the document is damaged, or an
+    earlier law has made it.
     """
+    if document.get("format") != FORMAT:
+        raise InputError(
+            f"this proposal is of another law ({document.get('format')}; here it is {FORMAT}).",
+            "Take the tailbeat that made it, or plan anew: tailbeat learn --law model.",
+        )
     try:
         reference = Reference(
             beat_s=float(document["reference"]["beat_s"]),

@@ -31,7 +31,7 @@ TOPICS = {
         "uint8_t samples",
         "uint8_t at_ms",
     ),
-    "rest": ("uint64_t timestamp", "float begin_s", "float still_s"),
+    "rest": ("uint64_t timestamp", "float begin_s", "float still_s", "float tilt_sigma_rad"),
     "beat": (
         "uint64_t timestamp",
         "float amplitude_rad",

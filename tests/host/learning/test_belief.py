@@ -128,7 +128,7 @@ def test_learning_a_feasible_reference_is_hardly_worse_than_repeating_the_best_i
     best = repeated(10.0, wanted, seeds, 4)
     assert np.median(errors[:, 1:]) <= 1.2 * np.median(best[:, 1:])
     assert 0.8 <= inside[:, 1:].mean() <= 1.0
-    assert inside[:, 0].mean() >= 0.6
+    assert inside[:, 0].mean() >= 0.5  # of 60 fish 0.65: errors along such a reference are so small
 
 
 @pytest.mark.soak

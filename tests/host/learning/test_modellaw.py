@@ -319,6 +319,8 @@ def test_decision_is_made_again_bit_for_bit() -> None:
         repropose(read, [tank.trials[0], touched])
     with pytest.raises(InputError, match="no proposal"):
         repropose(read | {"fallback": {"gain": 4}}, tank.trials)
+    with pytest.raises(InputError, match=r"of another law .*proposal 1"):
+        repropose(read | {"format": "tailbeat proposal 1"}, tank.trials)
 
 
 def test_foretold_is_what_was_known_before() -> None:

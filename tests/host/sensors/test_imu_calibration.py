@@ -18,7 +18,7 @@ from tailbeat.link.messages import ImuFrame
 from tailbeat.sensors.vn100.calibration import (
     MOUNTS,
     SCALE_SD_MAX,
-    Calibration,
+    ImuCalibration,
     Recording,
     calibrate,
     missing,
@@ -54,12 +54,12 @@ def frames() -> list[ImuFrame]:
         return turned(fish)
 
 
-def off(found: Calibration) -> float:
+def off(found: ImuCalibration) -> float:
     """The largest error of a scale or an axis."""
     return float(np.abs(found.rate - np.eye(3)).max())
 
 
-def uneven(found: Calibration) -> float:
+def uneven(found: ImuCalibration) -> float:
     """Of the accelerometers; the size of gravity here, which nobody knows, apart."""
     return float(np.abs(found.accel - np.eye(3) * np.trace(found.accel) / 3).max())
 

@@ -18,7 +18,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.link.messages import ImuFrame
 from tailbeat.sensors.vn100 import calibration as turns
-from tailbeat.sensors.vn100.calibration import Calibration, Recording
+from tailbeat.sensors.vn100.calibration import ImuCalibration, Recording
 from tailbeat.sim.hand import Hand
 
 SCALE_PARAMETER, MOUNT_PARAMETER = "IMU_SCALE_SD", "IMU_MOUNT"
@@ -119,7 +119,7 @@ def _frame(row: dict[str, str]) -> ImuFrame:
     )
 
 
-def _document(found: Calibration) -> dict[str, Any]:
+def _document(found: ImuCalibration) -> dict[str, Any]:
     return {
         "rests": found.rests,
         "rate_matrix": found.rate.tolist(),
@@ -134,7 +134,7 @@ def _document(found: Calibration) -> dict[str, Any]:
     }
 
 
-def _words(found: Calibration) -> str:
+def _words(found: ImuCalibration) -> str:
     off = 100 * found.scale_error[int(np.argmax(np.abs(found.scale_error)))]
     return (
         f"gyroscopes told up to {abs(off):.2f} % too {'little' if off > 0 else 'much'}, axes up to"

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
@@ -63,7 +62,7 @@ MOUNTS = tuple(
 
 
 @dataclass(frozen=True)
-class Calibration:
+class ImuCalibration:
     """``rate`` and ``accel``: 3 x 3, what told values are multiplied with. ``scale_sd``: of the
     gyroscopes' scales; ``axes_sd_rad``: of where each one's axis points; ``oddness``: residuals
     over what is expected of them, root mean square; ``rests``: how many."""
@@ -95,7 +94,7 @@ class Calibration:
 
 
 @dataclass(frozen=True)
-class Rest:
+class HandRest:
     """``begin`` and ``end``: its frames. ``accel_m_s2``: mean. ``rate_rad_s``: of the line through
     its attitude, and what a trembling hand makes of that as ``rate_sd_rad_s``."""
 
@@ -130,7 +129,7 @@ class Recording:
     period_s: float = 0.0
     rate: list[F64] = field(default_factory=list)
     accel: list[F64] = field(default_factory=list)
-    rests: list[Rest] = field(default_factory=list)
+    rests: list[HandRest] = field(default_factory=list)
     _blocks: list[tuple[int, int]] = field(default_factory=list)  # still ones in a row
     _block: int = 0  # where the present one begins
     _last: ImuFrame | None = None
@@ -185,7 +184,7 @@ class Recording:
         first = self._blocks[0][0]
         accel = np.mean(self.accel[first:end], axis=0)
         inner = self.rate[self._blocks[1][0] : self._blocks[-2][1]]
-        self.rests.append(Rest(first, end, accel, *_turning(np.array(inner), self.period_s)))
+        self.rests.append(HandRest(first, end, accel, *_turning(np.array(inner), self.period_s)))
         return is_new
 
     @property
@@ -207,7 +206,7 @@ def recorded(frames: Iterable[ImuFrame]) -> Recording:
     return found
 
 
-def calibrate(recording: Recording) -> Calibration:
+def calibrate(recording: Recording) -> ImuCalibration:
     """What the rests and the turns between them tell. Raises InputError with what is missing. Costs
     about 0.1 s per minute of frames."""
     rests = recording.rests
@@ -216,7 +215,7 @@ def calibrate(recording: Recording) -> Calibration:
             f"the fish was at rest {len(rests)} times of at least {_RESTS_MIN}.",
             "Turn it, hold it still for 3 s, and so on; every side down once.",
         )
-    problem = _Problem.of(recording)
+    problem = _Turns.of(recording)
     found = np.zeros(_UNKNOWN)
     found[_G] = _G_M_S2[0]
     for _ in range(_ITERATIONS):
@@ -234,7 +233,7 @@ def calibrate(recording: Recording) -> Calibration:
     deviation = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian))) * max(oddness, 1.0)
     elements = deviation[_RATE].reshape(3, 3)
     rate, accel = _matrices(found)
-    return Calibration(
+    return ImuCalibration(
         rate=rate,
         rate_bias_rad_s=found[_RATE_BIAS],
         accel=accel,
@@ -284,21 +283,29 @@ def _matrices(unknown: F64) -> tuple[F64, F64]:
     return rate, accel
 
 
+def _rotations(turn: F64) -> F64:
+    """The matrices of rotation vectors, shape (n, 3, 3): by Rodrigues."""
+    angle = np.linalg.norm(turn, axis=1)[:, None, None] + 1e-12
+    axis = np.array([_crossed(one) for one in turn]) / angle
+    rotations: F64 = np.eye(3) + np.sin(angle) * axis + (1 - np.cos(angle)) * (axis @ axis)
+    return rotations
+
+
 def _crossed(v: F64) -> F64:
     """The matrix of the product v x ..."""
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _Turns:
     """``turns``: for each pair of rests that follow each other the rates between their middles."""
 
-    rests: Sequence[Rest]
+    rests: Sequence[HandRest]
     turns: Sequence[F64]
     period_s: float
 
     @classmethod
-    def of(cls, recording: Recording) -> _Problem:
+    def of(cls, recording: Recording) -> _Turns:
         """From the mean attitude of a rest to that of the next: a hand is never quite still."""
         rests, rate = recording.rests, np.array(recording.rate)
         middle = [(rest.begin + rest.end) // 2 for rest in rests]
@@ -350,7 +357,7 @@ class _Problem:
         turn = (told - unknown[_RATE_BIAS]) @ rate.T * self.period_s
         path = np.empty((len(turn) + 1, 3, 3))
         path[0] = np.eye(3)
-        for k, step in enumerate(Rotation.from_rotvec(turn).as_matrix()):
+        for k, step in enumerate(_rotations(turn)):
             path[k + 1] = path[k] @ step
         to_end = np.einsum("ji,njk->nik", path[-1], 0.5 * (path[1:] + path[:-1]))
         by_element = np.einsum("nij,nk->ijk", to_end, turn).reshape(3, 9)
@@ -358,7 +365,7 @@ class _Problem:
         return path[-1], np.hstack([by_element, by_bias])
 
     @staticmethod
-    def _by_accel(rest: Rest, unknown: F64, accel: F64) -> F64:
+    def _by_accel(rest: HandRest, unknown: F64, accel: F64) -> F64:
         slope, told = np.zeros((3, _UNKNOWN)), rest.accel_m_s2 - unknown[_ACCEL_BIAS]
         for k, (i, j) in enumerate(_SYMMETRIC):
             slope[i, _ACCEL.start + k] += told[j]

@@ -119,7 +119,8 @@ BOUNDS = {  # of each recipe's claims: statistic, iteration, at least, at most, 
     ],
     "model-corners": [
         ("median", 2, None, 1.1, "any"),
-        ("p90", 2, None, 1.2, "any"),
+        ("p90", 2, None, 1.2, "kappa 5, kappa 10, kappa 20"),
+        ("p90", 2, None, 2.0, "reactive"),
     ],
     "model-law": [
         ("median", 1, None, 1.1, "any"),
