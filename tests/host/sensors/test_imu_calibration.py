@@ -123,7 +123,7 @@ def test_it_says_what_to_do(frames: list[ImuFrame]) -> None:
     for frame in frames:
         if found.add(frame):
             told.append(missing(found))
-    assert "belly up" in told[0] and "belly down" not in told[0]
+    assert told[0] == "lay it right side down"
     assert any("quarter turn" in words or "whole turn" in words for words in told)
     assert told[-1] == "" and all(told[:-1])
     assert found.sides == {"+x", "-x", "+y", "-y", "+z", "-z"}

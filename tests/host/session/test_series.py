@@ -15,6 +15,7 @@ import pytest
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import InputError, Refused, TailbeatError
+from tailbeat.core.reference import thesis
 from tailbeat.core.speed_source import CameraGone, Frame
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import begin, note_set
@@ -44,6 +45,7 @@ from tailbeat.session.preflight_step import GivenUp
 from tailbeat.session.series import Options, SeriesEnd, Until, run_series
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimBoard, SimTransport
+from tailbeat.studies.montecarlo.populations import draw
 
 KEEP, AGAIN = Decision("keep"), Decision("repeat", "once more")
 BUMPED = Decision("discard", "bumped the wall")
@@ -886,3 +888,27 @@ def test_ctrl_c_in_any_call_of_the_person_with_the_checks(
         end = trial(Interrupting(Calls(n, KeyboardInterrupt())), wanted=wanted)
         assert end.why in ("interrupted", "swims"), f"call {n}"
         require_goes_on(fish, board, experiment, trial, n)
+
+
+@pytest.mark.parametrize("plant", ["tank", "reactive"])
+def test_lost_beats_hinder_no_series(
+    plant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The camera sees nothing of every 25th beat: there is a best trial all the same, each is
+    assessed, and the series comes to its end. 20 of 20 fish of the realistic population."""
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
+    settings = draw("realistic", plant, 7101) | {"lost_beats": 0.04, "outliers": 0.0}
+    with Fish.connect(f"sim:{plant}", seed=7101, **settings) as fish:
+        for name, value in {"ILC_LEAD": 1, "AMP_MAX_RAD": 0.785, "DU_MAX_RAD": 0}.items():
+            fish.params.set(name, value)
+        fish.params.set("TANK_LEN_M", 0)
+        fish.upload_reference(thesis().record())
+        operator, experiment = Script(), begin(fish, tmp_path / "experiments")
+        end = run_series(fish, experiment, operator, Options(Until(30, converged=True), None))
+        best_m_s = fish.status().best_max_abs_error_m_s
+    recorded = operator.of(TrialRecorded)
+    assert any(one.record.measured_beats < 40 for one in recorded)
+    assert end.why in ("converged", "saturated")
+    assert 4 <= len(recorded) <= 15
+    assert best_m_s is not None and 0 < best_m_s < 0.03
+    assert len(operator.of(Assessed)) == len(recorded)

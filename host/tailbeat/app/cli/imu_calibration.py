@@ -12,7 +12,7 @@ import numpy as np
 
 from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._options import ConnectedFish
-from tailbeat.app.cli._terminal import Display, Output, json_asked
+from tailbeat.app.cli._terminal import Display, Output
 from tailbeat.board.fish import Fish
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError, reason
@@ -79,14 +79,18 @@ def _live(fish: Fish) -> Recording:
     """Until enough is known; a simulated fish is turned by a simulated hand."""
     found, hand = Recording(), Hand(fish.sim.world) if fish.sim is not None else None
     frames = fish.imu_frames()
-    with contextlib.closing(frames), Display(quiet=json_asked.get()) as display:
+    with contextlib.closing(frames), Display(quiet=True) as display:
+        display.keep(
+            "turn the fish slowly, hold it still for 3 s, and so on; a sound says that it was"
+        )
         todo = turns.missing(found)
-        display.show(todo)
         for frame in frames:
             if hand is not None:
                 hand.follow(frame.time_s)
-            if found.add(frame) and not (todo := turns.missing(found)):
-                break
+            if found.add(frame):
+                display.bell()
+                if not (todo := turns.missing(found)):
+                    break
             state = "still" if found.is_still else "turning"
             display.show(f"{len(found.rests)} rests, {state}; next: {todo}")
     if hand is not None:

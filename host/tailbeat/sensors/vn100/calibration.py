@@ -247,12 +247,9 @@ def calibrate(recording: Recording) -> ImuCalibration:
 
 def missing(recording: Recording) -> str:
     """What to do next, for people; "" = it is known well enough."""
-    left = [
-        side for side in (sign + axis for axis in AXES for sign in "+-")
-        if side not in recording.sides
-    ]  # fmt: skip
-    if left:
-        return f"lay it on another side, still for 3 s: {', '.join(_SIDES[one] for one in left)}"
+    for side, words in _SIDES.items():
+        if side not in recording.sides:
+            return f"lay it {words}"
     try:
         found = calibrate(recording)
     except InputError as error:
@@ -261,12 +258,12 @@ def missing(recording: Recording) -> str:
     if max(*scale, *axes) <= 1:
         return ""
     turn, of = ("whole", scale) if scale.max() > axes.max() else ("quarter", axes)
-    return f"a {turn} turn {_TURNS[AXES[int(np.argmax(of))]]}, slowly; still for 3 s"
+    return f"a {turn} turn {_TURNS[AXES[int(np.argmax(of))]]}"
 
 
 _SIDES = {
-    "+x": "nose down", "-x": "nose up", "+y": "right side down", "-y": "left side down",
-    "+z": "belly down", "-z": "belly up",
+    "+z": "belly down", "+y": "right side down", "-z": "belly up", "-y": "left side down",
+    "+x": "nose down", "-x": "nose up",
 }  # fmt: skip
 _TURNS = {
     "x": "about its long axis, held level",
