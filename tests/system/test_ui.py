@@ -118,6 +118,18 @@ class Browser:
             self.until("new Promise(done => requestAnimationFrame(() => done(true)))")
         raise last
 
+    def press(self, selector: str, then: str) -> None:
+        """Clicks until ``then`` holds. What is pressed while the page's connection to the laptop is
+        being made anew is lost, and a person presses again."""
+        for patience_s in (AGAIN_S, AGAIN_S, PATIENCE_S):
+            self.click(selector)
+            try:
+                self.until(then, patience_s)
+                return
+            except AssertionError:
+                if patience_s == PATIENCE_S:
+                    raise
+
     def type(self, selector: str, text: str) -> None:
         from selenium.webdriver.common.by import By
         from selenium.webdriver.common.keys import Keys
@@ -338,19 +350,9 @@ def _start(browser: Browser, phase: str) -> None:
 
 
 def _choose(browser: Browser, choice: str) -> None:
-    """Presses the button of the dialog until the trial is decided. What is pressed while the page's
-    connection to the laptop is being made anew is lost: the dialog then stays, without a refusal,
-    and a person presses again."""
+    """The trial is decided when this returns."""
     ends = '["idle", "failed"].includes(document.querySelector(".root")?.dataset.phase)'
-    for patience_s in (AGAIN_S, AGAIN_S, PATIENCE_S):
-        browser.click(f".choose-{choice}")
-        try:
-            browser.until(ends, patience_s)
-            break
-        except AssertionError:
-            assert not browser.ask("document.querySelector('.refusal')?.checkVisibility()")
-            if patience_s == PATIENCE_S:
-                raise
+    browser.press(f".choose-{choice}", ends)
     browser.phase("idle")
 
 
@@ -408,8 +410,7 @@ def _note(browser: Browser) -> None:
 def _learn(browser: Browser) -> None:
     """Three trials that are kept; the first with all that comes before a trial."""
     browser.type(".shape input", "trapezoid:0.065,6,10")
-    browser.click(".use")
-    browser.until("document.querySelector('.next').innerText.startsWith('START: trial 1')")
+    browser.press(".use", "document.querySelector('.next').innerText.startsWith('START: trial 1')")
     assert len(browser.chart("speed-chart")) == 22
     _start(browser, "preflight")
     browser.until("document.querySelectorAll('.steps .done').length >= 3")
@@ -432,14 +433,15 @@ def _learn(browser: Browser) -> None:
 
 def _begin_anew(browser: Browser) -> None:
     """With a reference so long that even a starved browser is in time to stop it; it asks first."""
-    browser.click(".reference .q-item")
-    browser.click(".use")  # until it is unfolded; the same reference as before
-    browser.click(".dialog .sure + button")
-    browser.until("!document.querySelector('.sure')?.checkVisibility()")
+    asks = "document.querySelector('.sure')?.checkVisibility() ?? false"
+    browser.press(".reference .q-item", "document.querySelector('.use')?.checkVisibility()")
+    browser.press(".use", asks)  # the same reference as before
+    browser.press(".dialog .sure + button", f"!({asks})")
     browser.type(".shape input", "trapezoid:0.01,5,180")
-    browser.click(".use")
-    browser.click(".sure")
-    browser.until("document.querySelector('.next').innerText.includes('trial 4, iteration 1')")
+    browser.press(".use", asks)
+    browser.press(
+        ".sure", "document.querySelector('.next').innerText.includes('trial 4, iteration 1')"
+    )
     assert len(browser.chart("speed-chart")) == 190
 
 

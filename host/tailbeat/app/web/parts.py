@@ -42,7 +42,8 @@ REASONS = (
     "battery low",
 )
 _COLOURS = {"keep": "primary", "repeat": "grey-8", "discard": "grey-8"}
-AT_ONCE = "transition-duration=0"  # of dialogs: what grows into its place moves from under a finger
+# What grows into its place moves from under a finger: dialogs and folds open in place.
+AT_ONCE, UNFOLDED = "transition-duration=0", "duration=0"
 _STEP_LOOKS = {True: "done", False: "bad", None: "under-way"}
 
 
