@@ -228,7 +228,9 @@ class ReferenceCard:
         self._is_known = False
         with (
             ui.element("section").classes("card reference"),
-            ui.expansion("Another reference: the speed to swim").props(parts.UNFOLDED) as self._fold,
+            ui.expansion("Another reference: the speed to swim").props(
+                parts.UNFOLDED
+            ) as self._fold,
         ):
             ui.label(
                 "thesis; or trapezoid:0.06,8,20 = 0.06 m/s, 8 s up and down, 20 s between; or a CSV"
