@@ -29,6 +29,7 @@ from scipy.optimize import lsq_linear
 from scipy.signal import butter, filtfilt
 
 from tailbeat.core.arrays import F64
+from tailbeat.core.errors import InputError
 from tailbeat.core.reference import thesis
 from tailbeat.learning.belief import believe
 from tailbeat.learning.fish_model import TrialSpeeds
@@ -248,10 +249,13 @@ PEERS: dict[str, Any] = {
 
 def learned(job: tuple[str, int, str, dict[str, float]]) -> list[float]:
     """max|e| of the inputs of the trials, on the fish without noise as it has drifted; the number
-    of identification runs at the end."""
+    of identification runs at the end. NaN of a fish that cannot be identified: no law learns it."""
     population, seed, name, settings = job
     fish = draw(population, "reactive", seed) | {"seed": float(seed)}
-    identified = identify("reactive", fish, MOST_RAD, 1.0, 1)
+    try:
+        identified = identify("reactive", fish, MOST_RAD, 1.0, 1)
+    except InputError:
+        return [np.nan] * (TRIALS + 1)
     law: Law = PEERS[name](identified, **settings)
     batch, quiet = FishBatch("reactive", [fish]), FishBatch("reactive", [still(fish)])
     amplitude, errors = law.first, []
@@ -276,7 +280,7 @@ def tune(population: str, fish: int, first: int, pool: ProcessPoolExecutor) -> N
         jobs = [(population, seed, name, option) for option in options
                 for seed in range(first, first + fish)]  # fmt: skip
         rows = np.array(list(pool.map(learned, jobs)))[:, :TRIALS]
-        score = np.median(rows.sum(axis=1).reshape(len(options), fish), axis=1)
+        score = np.nanmedian(rows.sum(axis=1).reshape(len(options), fish), axis=1)
         best = options[int(np.argmin(score))]
         known.setdefault(population, {})[name] = best
         print(f"{population}, {name}: {best}, {1e3 * score.min() / TRIALS:.1f} mm/s", flush=True)
@@ -289,10 +293,11 @@ def run(population: str, fish: int, first: int, pool: ProcessPoolExecutor) -> No
     for name in PEERS:
         jobs = [(population, seed, name, known[name]) for seed in range(first, first + fish)]
         rows = np.array(list(pool.map(learned, jobs)))
-        medians[name] = 1e3 * np.median(rows[:, :TRIALS], axis=0)
-        runs = np.median(rows[:, TRIALS])
+        medians[name] = 1e3 * np.nanmedian(rows[:, :TRIALS], axis=0)
+        runs, unknown = np.nanmedian(rows[:, TRIALS]), np.isnan(rows[:, TRIALS]).sum()
+        left = f", {unknown} fish not identified" if unknown else ""
         print(f"{population:12} {name:13}", " ".join(f"{one:5.1f}" for one in medians[name]),
-              f"  after {runs:.0f} identification runs", flush=True)  # fmt: skip
+              f"  after {runs:.0f} identification runs{left}", flush=True)  # fmt: skip
     best = np.min([row for name, row in medians.items() if name != "model-based"], axis=0)
     print(f"{population:12} ours - best peer:", np.round(medians["model-based"] - best, 1))
 
