@@ -57,6 +57,9 @@ class Script:
         """Never asked by the preflight checks."""
         raise AssertionError(question)
 
+    def number(self, question: str, value: float) -> float | None:
+        return value
+
     def texts(self, step: str) -> list[str]:
         """What was told of a step."""
         return [e.text for e in self.told if isinstance(e, StepProgress) and e.step == step]

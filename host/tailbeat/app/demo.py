@@ -31,6 +31,7 @@ from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.folder import Experiment, copy_state
 from tailbeat.experiment.redo import write_redo
+from tailbeat.learning.belief import Beliefs
 from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.fish_model import FishModel, trial_speeds
@@ -211,7 +212,9 @@ class _Demo:
 
     def _propose(self, identified: Identified, experiment: Experiment) -> None:
         """The model's next amplitudes; what they came from goes into the experiment."""
-        step = next_step(self.setting, identified, [trial_speeds(trial) for trial in self.trials])
+        step = next_step(
+            self.setting, Beliefs(identified), [trial_speeds(trial) for trial in self.trials]
+        )
         name = f"proposal-{len(self.trials) + 1:04d}.json"
         experiment.add_raw(name, _json_bytes(step.document))
         upload(self.fish, self.setting, step.proposal)

@@ -29,6 +29,8 @@ PATHS = {
 
 PAST_FILES = 8
 
+INPUT_FIRST, INPUT_UPLOADED, INPUT_RESTORED = 1, 2, 3  # memory_input_t; 0: learned from a trial
+
 _HEADER_BYTES = 12
 _UNVISITED = b"\1\0"  # version of a learned record without visits
 _INPUT = slice(26, 28)  # of a learned record: what made its amplitudes

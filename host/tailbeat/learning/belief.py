@@ -320,12 +320,55 @@ def _unmeasured(amplitude_rad: F64, beat_s: float, sigma_m_s: F64 | float) -> Tr
     return TrialSpeeds(amplitude_rad, np.full(beats, np.nan), sigma, beat_s)
 
 
+_COUNTED = 30  # trials that a belief begins with: older ones have no say after MEMORY_TRIALS
+
+
 def believe(identified: Identified, trials: Sequence[TrialSpeeds]) -> Belief:
     """After ``trials``, oldest first, of which the last 30 count; those without a speed tell
     nothing."""
-    belief = Belief(identified, identified.scatter)
-    if belief.first:
-        belief = belief._fitted(_COLD_ROUNDS)
-    for trial in [trial for trial in trials if trial.measured.any()][-30:]:
+    belief = _first(identified)
+    for trial in _telling(trials)[-_COUNTED:]:
         belief = belief.after(trial)
     return belief
+
+
+def _first(identified: Identified) -> Belief:
+    """Before any trial."""
+    belief = Belief(identified, identified.scatter)
+    return belief._fitted(_COLD_ROUNDS) if belief.first else belief
+
+
+def _telling(trials: Sequence[TrialSpeeds]) -> list[TrialSpeeds]:
+    return [trial for trial in trials if trial.measured.any()]
+
+
+class Beliefs:
+    """What is believed of a fish along its trials: as ``believe``, but each trial costs only its
+    own step."""
+
+    def __init__(self, identified: Identified) -> None:
+        self.identified = identified
+        self._trials: list[TrialSpeeds] = []
+        self._chain = [_first(identified)]
+
+    def after(self, trials: Sequence[TrialSpeeds]) -> Belief:
+        """As ``believe``. ``trials``: those of the last call, or some of them, and later ones."""
+        telling = _telling(trials)
+        if len(telling) > _COUNTED:
+            return believe(self.identified, telling)
+        rows = zip(self._trials, telling, strict=False)
+        same = next((at for at, (one, other) in enumerate(rows) if not _equal(one, other)),
+                    min(len(self._trials), len(telling)))  # fmt: skip
+        del self._trials[same:], self._chain[same + 1 :]
+        for trial in telling[same:]:
+            self._trials.append(trial)
+            self._chain.append(self._chain[-1].after(trial))
+        return self._chain[len(telling)]
+
+
+def _equal(one: TrialSpeeds, other: TrialSpeeds) -> bool:
+    return (
+        one.reference_crc == other.reference_crc
+        and np.array_equal(one.amplitude_rad, other.amplitude_rad)
+        and np.array_equal(one.speed_m_s, other.speed_m_s, equal_nan=True)
+    )

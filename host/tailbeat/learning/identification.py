@@ -37,9 +37,9 @@ _REMEDY = "Identify the fish: tailbeat session identify --out FILE"
 class Identified:
     """``models``: the bootstrap's, at least one. ``covariance``: as in Fit, or 4 x 4.
     ``scatter``: how trials differ. ``assumed``: names of ``FishModel`` fields that no data spoke of
-    (a table of steady speeds tells nothing of kappa and delay). ``source``: ``table``, ``runs`` or
-    ``trials``. ``alpha_kg_m``: the thesis's drag coefficient by (8.5)-(8.13) where steady speeds
-    are known."""
+    (a table of steady speeds tells nothing of kappa and delay). ``source``: ``table``, ``runs``,
+    ``trials`` or ``none`` (any fish). ``alpha_kg_m``: the thesis's drag coefficient by (8.5)-(8.13)
+    where steady speeds are known."""
 
     model: FishModel
     models: list[FishModel]
@@ -93,6 +93,15 @@ class Identified:
     def load(cls, path: Path) -> Identified:
         """Raises InputError when it is not there or damaged."""
         return read(path, cls, _REMEDY, prepare=_checked)
+
+
+def any_fish() -> Identified:
+    """What is known of a fish before anything was measured of it: the usual one, and how fish
+    differ."""
+    usual = Prior()
+    return Identified(
+        usual.model, [usual.model], usual.covariance, source="none", assumed=tuple(NUMBERS)
+    )
 
 
 def now_text() -> str:

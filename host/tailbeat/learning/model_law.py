@@ -147,11 +147,17 @@ def predicted_before(
 ) -> tuple[float, float, float] | None:
     """max|e| of the last of ``trials`` by what was known before, over the beats that it has: 5 %,
     median, 95 %, m/s. None when it was not of this reference or not measured."""
+    return predicted_by(believe(identified, trials[:-1]), reference, trials)
+
+
+def predicted_by(
+    known: Belief, reference: Reference, trials: Sequence[TrialSpeeds]
+) -> tuple[float, float, float] | None:
+    """As ``predicted_before``, by what was believed then."""
     if not trials or trials[-1].reference_crc != reference.crc or not trials[-1].measured.any():
         return None
     last = trials[-1]
     sigma = float(np.median(last.sigma_m_s[last.measured]))
-    known = believe(identified, trials[:-1])
     found = known.predict(last.amplitude_rad, last.beat_s, last.reference_crc, sigma)
     return found.max_abs_error(reference.speed_m_s.astype(np.float64), last.measured)
 

@@ -1,15 +1,13 @@
-"""The first session with a fish nobody knows: its limits rise step by step, each with the reason.
+"""Commissions a fish that nobody knows: looks at the board, finds the tail's centre, measures the
+fish, offers the amplitude limit that its reference needs, and stores the law designed for it.
 
-From the defaults (0.5 rad at most, 0.15 rad per trial): look at the board, trim, identify with
-gentle runs, design gain and lead, then allow as much amplitude as the reference needs and the tank
-has room for. A step that fails leaves the limits where they were.
+A step that fails leaves what the steps before it have set.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from tailbeat.board.diagnostics import look_at
 from tailbeat.board.diagnostics.evidence import PROBLEM
@@ -18,43 +16,32 @@ from tailbeat.board.preserve import require_idle, restore_interrupted
 from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.core.reference import Reference, ReferenceLimits
 from tailbeat.core.speed_source import Camera, SpeedSource, speed_source
-from tailbeat.core.trial_checks import HeadingDrift, heading_drift
-from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save
-from tailbeat.experiment.library import (
-    RUN,
-    TrialLibrary,
-    library_of,
-    name_reference,
-    preserve_folder,
-)
+from tailbeat.experiment.library import library_of, name_reference, preserve_folder
 from tailbeat.learning.design import design, law_words
-from tailbeat.learning.identification import Identified
-from tailbeat.learning.identification_runs import IdentificationRun
+from tailbeat.learning.fish_model import TrialSpeeds
 from tailbeat.learning.saturation import needed_rad, servo_rad
-from tailbeat.session.commission_steps import LimitIncrease, next_limit_increase, try_limit
 from tailbeat.session.events import Notice, Operator
 from tailbeat.session.guards import Guard
-from tailbeat.session.identify import IdentificationHooks, identify_fish, set_params
-from tailbeat.session.preflight import prepare
-from tailbeat.session.preflight_step import GivenUp, PreflightLimits, countdown
+from tailbeat.session.identify import set_params
+from tailbeat.session.limit import LimitIncrease, limit_offer
+from tailbeat.session.measure import MeasuredFish, measure_fish
+from tailbeat.session.preflight_step import GivenUp, PreflightLimits
 from tailbeat.session.trial_camera import camera_of
 from tailbeat.session.trim import apply, find_centre
 
 _CAMERA_LOOK_S = 1.5  # of board time
-_RAISES_MAX = 8
-_HANDS = "Put the fish at rest at its wall. Ready?"
 
 
 @dataclass(frozen=True)
 class CommissionStep:
-    """One step that was taken. ``name``: look, trim, identify, design, limits. ``done`` False: it
-    failed or was left out, as ``words`` say. ``raises``: what it raised."""
+    """One step that was taken. ``name``: health, trim, measure, limit, law. ``done`` False: it
+    failed or was left out, as ``words`` say. ``limit``: what was raised."""
 
     name: str
     done: bool
     words: str
-    raises: tuple[LimitIncrease, ...] = ()
+    limit: LimitIncrease | None = None
 
 
 def commission_fish(
@@ -76,20 +63,16 @@ def commission_fish(
 
 def _steps(session: _Session) -> Iterator[CommissionStep]:
     needed: list[tuple[str, Callable[[], CommissionStep], bool]] = [
-        ("look", session.look, True),
+        ("health", session.look, True),
         ("trim", session.trim, False),
-        ("identify", session.identify, True),
-        ("design", session.design, True),
+        ("measure", session.measure, True),
+        ("limit", session.limit, False),
+        ("law", session.law, True),
     ]
     for name, take, must in needed:
         step = _taken(name, take)
         yield step
         if must and not step.done:
-            return
-    for _ in range(_RAISES_MAX):
-        step = _taken("limits", session.raise_limit)
-        yield step
-        if not step.raises:
             return
 
 
@@ -106,7 +89,7 @@ def _taken(name: str, take: Callable[[], CommissionStep]) -> CommissionStep:
 
 @dataclass
 class _Session:
-    """State of one first session. ``straight``: of the last trial that tells."""
+    """State of one commissioning. ``trials``: of the trim, as far as they tell the fish's speed."""
 
     fish: Fish
     reference: Reference
@@ -114,8 +97,8 @@ class _Session:
     camera: Camera | None
     guard: Guard | None
     limits: PreflightLimits
-    straight: HeadingDrift | None = field(default=None, init=False)
-    identified: Identified | None = field(default=None, init=False)
+    trials: list[TrialSpeeds] = field(default_factory=list, init=False)
+    found: MeasuredFish | None = field(default=None, init=False)
 
     def look(self) -> CommissionStep:
         """Whether it can swim at all; then the reference."""
@@ -132,16 +115,16 @@ class _Session:
         seen, why = self._seen(source)
         told.append(seen) if not why else problems.append(why)
         if problems:
-            return CommissionStep("look", False, "; ".join(problems))
+            return CommissionStep("health", False, "; ".join(problems))
         self._ask(_tank_question(params), "The tank's length was not confirmed")
         self._give_reference()
-        return CommissionStep("look", True, "; ".join(told))
+        return CommissionStep("health", True, "; ".join(told))
 
     def _seen(self, source: SpeedSource) -> tuple[str, str]:
         """(what the camera sees, what is wrong)."""
         if source.uploaded:
             return "", (
-                "speeds: SPD_SOURCE is upload, and the first session needs them while it swims;"
+                "speeds: SPD_SOURCE is upload, and commissioning needs them while it swims;"
                 " set another, or do it by hand: tailbeat session identify, tailbeat session design"
             )
         if self.camera is None:
@@ -173,7 +156,9 @@ class _Session:
             text = "left out: no IMU and no camera to feel a turn by"
             self._note(f"trim {text}")
             return CommissionStep("trim", False, text)
-        found = find_centre(fish, self.operator, self.camera, self.guard, self.limits)
+        found = find_centre(
+            fish, self.operator, self.camera, self.guard, self.limits, self.trials.append
+        )
         words = f"the tail is straight at {found.centre_us:.0f} +- {found.sigma_us:.0f} us"
         if abs(found.centre_us - found.was_us) <= found.sigma_us:
             return CommissionStep(
@@ -185,97 +170,64 @@ class _Session:
             "trim", True, f"{words} ({found.source}), was {found.was_us:.0f}; set"
         )
 
-    def identify(self) -> CommissionStep:
-        """Within the limits as they are."""
-
-        book = library_of(self.fish)
-        attendant = self._attendant(book)
-        found = identify_fish(self.fish, attendant, preserve_folder(book), self.camera)
-        self.identified = found
-        if book is not None:
-            book.set_identified(found)
-        set_params(self.fish, found)
-        model = found.model
-        return CommissionStep(
-            "identify",
-            True,
-            f"{len(found.trials)} runs: {model.slope_m_s_rad * 1e3:.0f} mm/s per rad beyond "
-            f"{model.dead_zone_rad:.2f} rad, drag over mass {model.kappa_per_m:.1f} 1/m, delay "
-            f"{model.delay_s:.2f} s",
-        )
-
-    def _attendant(self, book: TrialLibrary | None) -> IdentificationHooks:
-
-        def before(run: IdentificationRun) -> None:
-            text = f"Run {run.number}, {run.kind}, up to {run.cruise_rad:.2f} rad: about "
-            text += f"{run.travel_m:.2f} m, at worst {run.travel_worst_m:.2f}. {_HANDS}"
-            self._ask(text, "Not identified")
-            prepare(self.fish, self.limits, self.camera, self.operator)
-            countdown(self.fish, self.limits, self.operator)
-
-        return IdentificationHooks(
-            before=before,
-            event=self.operator.tell,
-            keep=lambda path: self._keep(path, book),
-            note=self._note,
-            guard=self.guard,
-            wants_abort=self.operator.wants_abort,
-        )
-
-    def _note(self, text: str) -> None:
-        self.operator.tell(Notice(text))
-
-    def _keep(self, path: Path, book: TrialLibrary | None) -> None:
-        self.straight = heading_drift(read_trial(path)) or self.straight
-        if book is not None:
-            book.keep(path, RUN)
-
-    def design(self) -> CommissionStep:
-        """For the limit that the reference will need."""
-
-        assert self.identified is not None
-        params = self.fish.params.values()
-        most = min(needed_rad(self.identified, self.reference), servo_rad(params))
-        found = design(self.identified, self.reference, most, step_max_rad=params["DU_MAX_RAD"])
-        if found.refused:
-            return CommissionStep("design", False, found.refused)
-        # the certificate is for kd = 0, a constant gain and the last trial alone
-        law = {name: value for name, value in found.law.params().items() if name in params}
-        set_and_save(self.fish, law)
-        return CommissionStep(
-            "design",
-            True,
-            f"{law_words(found.law)}: errors shrink most surely, steady ones to "
-            f"{found.ratio_dc:.2f} of themselves per trial, the worst to {found.ratio_max:.2f}; "
-            f"gains from {found.static_gain_max:.2f} on would not learn",
-        )
-
-    def raise_limit(self) -> CommissionStep:
-        """One step; a trial with it proves it before it is set."""
-        found = next_limit_increase(
-            self.fish.params.values(), self.reference, self.identified, self.straight
-        )
-        if isinstance(found, str):
-            return CommissionStep("limits", True, found)
-        assert self.identified is not None
-        text = f"{found.text}. One short trial proves it. {_HANDS}"
-        self._ask(text, f"{found.name} stays {found.was:.2f}")
-        proof = try_limit(
+    def measure(self) -> CommissionStep:
+        """Up to the amplitude that the reference needs; the board's model follows."""
+        self.found = found = measure_fish(
             self.fish,
-            found.to,
-            self.identified,
+            self.reference,
             self.operator,
             self.camera,
             self.guard,
             self.limits,
+            tuple(self.trials),
         )
-        self.straight = proof.straight or self.straight
-        if proof.why_not:
-            return CommissionStep(
-                "limits", False, f"{found.name} stays {found.was:.2f}: {proof.why_not}"
-            )
-        set_and_save(self.fish, {found.name: found.to})
-        return CommissionStep("limits", True, f"{found.text}; {proof.words}", (found,))
+        if (book := library_of(self.fish)) is not None:
+            book.set_identified(found.identified)
+        set_params(self.fish, found.identified)
+        model = found.identified.model
+        runs = f"{found.runs} run{'' if found.runs == 1 else 's'}"
+        return CommissionStep(
+            "measure",
+            True,
+            f"{runs}: {model.slope_m_s_rad * 1e3:.0f} mm/s per rad beyond "
+            f"{model.dead_zone_rad:.2f} rad, drag over mass {model.kappa_per_m:.1f} 1/m, delay "
+            f"{model.delay_s:.2f} s",
+        )
+
+    def limit(self) -> CommissionStep:
+        """Offered only as far as a run went without a fault."""
+        assert self.found is not None
+        offer = limit_offer(
+            self.fish.params.values(), self.reference, self.found.identified, self.found.straight
+        )
+        if isinstance(offer, str):
+            return CommissionStep("limit", True, offer)
+        if self.operator.number(f"{offer.text}. To allow it, type", offer.to) != offer.to:
+            return CommissionStep("limit", True, f"{offer.name} stays {offer.was:.2f}, as answered")
+        set_and_save(self.fish, {offer.name: offer.to})
+        return CommissionStep("limit", True, offer.text, offer)
+
+    def _note(self, text: str) -> None:
+        self.operator.tell(Notice(text))
+
+    def law(self) -> CommissionStep:
+        """The P law that the board learns by where it is alone: for the limit that is allowed."""
+        assert self.found is not None
+        identified, params = self.found.identified, self.fish.params.values()
+        most = min(needed_rad(identified, self.reference), servo_rad(params), params["AMP_MAX_RAD"])
+        found = design(identified, self.reference, most, step_max_rad=params["DU_MAX_RAD"])
+        if found.refused:
+            return CommissionStep("law", False, found.refused)
+        # the certificate is for kd = 0, a constant gain and the last trial alone
+        law = {name: value for name, value in found.law.params().items() if name in params}
+        set_and_save(self.fish, law)
+        return CommissionStep(
+            "law",
+            True,
+            f"{law_words(found.law)}: convergence rate {found.ratio_dc:.2f} at steady speed, "
+            f"{found.ratio_max:.2f} at worst; does not learn from gain "
+            f"{found.static_gain_max:.2f} on",
+        )
 
     def _ask(self, question: str, otherwise: str) -> None:
         if not self.operator.confirm(question):

@@ -103,6 +103,17 @@ class TrialDecided:
 
 
 @dataclass(frozen=True)
+class InputChosen:
+    """What makes the next input. ``law``: ``p`` (the board's own step), ``model``, or ``best`` (the
+    best input so far). ``why``: the reason, in words. ``expected_m_s``: 5 %, median and 95 % of its
+    max|e| by the model; None: nobody knows."""
+
+    law: str
+    why: str
+    expected_m_s: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
 class Assessed:
     """The convergence assessment after a learning step; ``saturation`` empty: none."""
 
@@ -156,6 +167,7 @@ Event = (
     | TrialRecorded
     | TrialDecided
     | LearnReport
+    | InputChosen
     | Assessed
     | Notice
     | TrialWarning
@@ -180,6 +192,9 @@ class Operator(Protocol):
 
     def confirm(self, question: str) -> bool:
         """A question with yes or no; as above."""
+
+    def number(self, question: str, value: float) -> float | None:
+        """Whether ``value`` is typed, so that nobody allows it by a slip; None = nothing was."""
 
 
 def notice_to(operator: Operator) -> Callable[[str], None]:

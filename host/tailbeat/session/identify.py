@@ -34,7 +34,7 @@ MODEL_PARAMS = {
     "MDL_DELAY_S": "delay_s",
 }
 _SPEED_SIGMA_M_S = 0.001  # of speeds that somebody uploads
-_NO_ROOM = ("aborted:ABORT_COMMAND", "aborted:WALL")
+NO_ROOM = ("aborted:ABORT_COMMAND", "aborted:WALL")
 _LIKE_THE_BOARDS = {"slope": 0.3, "dead_zone_rad": 0.08, "bend_per_rad": 0.4}
 _TRIED_RAD = 0.5  # where no trial tells the amplitudes
 _COASTS_ON = 0.5  # of the drag that is believed: a fish nobody knows may coast twice as far
@@ -160,7 +160,7 @@ class _IdentificationRunner:
                 f"run {run.number} was {BY_HAND}.",
                 "The board has back what it held; begin again when it is put right.",
             )
-        if end in _NO_ROOM and beats > 2:
+        if end in NO_ROOM and beats > 2:
             return
         raise TailbeatError(
             f"run {run.number} ended with {end} after {beats} beats.",

@@ -21,6 +21,7 @@ from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import reference_crc
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.store import Journal
+from tailbeat.session.events import InputChosen
 from tailbeat.session.outcome import KINDS, Decision, Ready, RecordedTrial
 
 _LOOK_BACK = 3  # swims the fall is averaged over: one reading scatters by some 20 mV
@@ -120,10 +121,16 @@ class SessionLog:
         return self.experiment.journal
 
     def begun(
-        self, trial: int, iteration: int, ready: Ready | None, battery_v: float, board_s: float
+        self,
+        trial: int,
+        iteration: int,
+        ready: Ready | None,
+        battery_v: float,
+        board_s: float,
+        law: str = "",
     ) -> None:
         """Before the countdown: whatever happens from now on, this trial is asked for. ``board_s``:
-        now, by the board's clock."""
+        now, by the board's clock. ``law``: of its input, as of ``InputChosen``."""
         self.journal.add(
             "begun",
             trial=trial,
@@ -131,7 +138,12 @@ class SessionLog:
             **_found(ready),
             battery_start_v=battery_v,
             board_s=board_s,
+            law=law,
         )
+
+    def chosen(self, chosen: InputChosen, trial: int) -> None:
+        """What makes the input of ``trial``, which comes next."""
+        self.journal.add("input", trial=trial, **asdict(chosen))
 
     def is_begun(self, trial: Trial) -> bool:
         """Whether a log is of the trial that was begun last: by its number, its reference, and that

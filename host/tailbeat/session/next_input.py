@@ -25,14 +25,15 @@ from tailbeat.core.law_memory import LawMemory, Memory, PastTrial
 from tailbeat.core.printable import amplitude_rows
 from tailbeat.core.records import decode_past, decode_reference, past_path, record_crc
 from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.learning.belief import Beliefs
 from tailbeat.learning.fish_model import TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import (
     ModelStepSetting,
     Proposal,
     document_of,
-    predicted_before,
-    propose,
+    predicted_by,
+    propose_by,
     swim_crc,
 )
 from tailbeat.link.messages import BoardStatus
@@ -211,12 +212,13 @@ def choose_next_input(proposal: Proposal, restored: bool, best_m_s: float | None
 
 
 def next_step(
-    setting: ModelStepSetting, identified: Identified, trials: Sequence[TrialSpeeds]
+    setting: ModelStepSetting, beliefs: Beliefs, trials: Sequence[TrialSpeeds]
 ) -> ModelStep:
     """Proposes; changes nothing."""
-    proposal = propose(identified, setting, trials)
-    document = document_of(proposal, identified, setting, trials)
-    return ModelStep(proposal, predicted_before(identified, setting.reference, trials), document)
+    foretold = predicted_by(beliefs.after(trials[:-1]), setting.reference, trials)
+    proposal = propose_by(beliefs.after(trials), setting, trials)
+    document = document_of(proposal, beliefs.identified, setting, trials)
+    return ModelStep(proposal, foretold, document)
 
 
 def upload(fish: Fish, setting: ModelStepSetting, proposal: Proposal) -> None:

@@ -310,7 +310,7 @@ def _check_battery(fish: Fish, step: PreflightStep, status: BoardStatus) -> None
 
 def check_room(at: Preflight, step: PreflightStep) -> None:
     """The expected travel fits into the tank. Raises InputError."""
-    at.travel = travel = travel_next(at.fish, library_of(at.fish))
+    at.travel = travel = at.travel or travel_next(at.fish, library_of(at.fish))
     try:
         travel.require_room()
     except InputError as error:
@@ -399,12 +399,17 @@ CHECKS = (
 
 
 def prepare(
-    fish: Fish, limits: PreflightLimits, camera: Camera | None, operator: Operator
+    fish: Fish,
+    limits: PreflightLimits,
+    camera: Camera | None,
+    operator: Operator,
+    travel: Travel | None = None,
 ) -> Ready:
-    """Makes all CHECKS, up to the countdown; the board is IDLE and unarmed all the time. Raises
-    NotReady, GivenUp (operator.wants_abort), CameraGone, InputError (no room), Refused."""
+    """Makes all CHECKS, up to the countdown; the board is IDLE and unarmed all the time.
+    ``travel``: of a run that was planned; None: that of the board's next trial. Raises NotReady,
+    GivenUp (operator.wants_abort), CameraGone, InputError (no room), Refused."""
     watch(fish)
-    at = Preflight(fish, limits, camera, operator)
+    at = Preflight(fish, limits, camera, operator, travel=travel)
     try:
         for check in CHECKS:
             check.function(at, at.step(check))

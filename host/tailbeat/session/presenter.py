@@ -13,6 +13,7 @@ from tailbeat.session.events import (
     Countdown,
     Event,
     HoldRequest,
+    InputChosen,
     InterruptRequested,
     LinkLost,
     LinkRestored,
@@ -76,9 +77,29 @@ def result(event: Event) -> str:
                 f"learned from trial {event.trial}: max|e| {mm(event.max_abs_error_m_s)} mm/s,"
                 f" RMS {mm(event.rms_error_m_s)}{best}"
             )
+        case InputChosen():
+            return input_text(event)
         case Assessed():
             return event.words
     return ""
+
+
+LAWS = {
+    "p": "P law on the board",
+    "model": "model-based law",
+    "best": "best input so far, once more",
+}
+
+
+def input_text(event: InputChosen) -> str:
+    """Which law makes the next input and why, with what it is predicted to do."""
+    if event.expected_m_s is None:
+        return f"next input: {LAWS[event.law]} ({event.why})"
+    low, median, high = map(mm, event.expected_m_s)
+    return (
+        f"next input: {LAWS[event.law]} ({event.why}); predicted max|e| {median} mm/s"
+        f" ({low} to {high})"
+    )
 
 
 def log_line(event: Event) -> str:

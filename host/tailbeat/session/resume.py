@@ -12,7 +12,7 @@ from tailbeat.board.snapshot import Differences, Snapshot
 from tailbeat.board.snapshot import restore_params as set_params
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.faults import NO_BEST, refusal
-from tailbeat.core.records import decode_learned, record_crc
+from tailbeat.core.records import INPUT_RESTORED, decode_learned, record_crc
 from tailbeat.core.speed_source import Camera
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import note_restored, reference_of, strayed, use
@@ -34,7 +34,7 @@ from tailbeat.session.preflight_step import GivenUp
 from tailbeat.session.series import Options, Until, run_series
 
 REASON = "battery swap"
-_RESTORED_INPUT = 3  # what made the amplitudes that trial next, memory_input_t
+
 _TRIES = 3
 _DISCARDS_MAX = 3
 
@@ -134,6 +134,10 @@ class _Repeating:
     def confirm(self, question: str) -> bool:
         return self.operator.confirm(question)
 
+    def number(self, question: str, value: float) -> float | None:
+        """As the operator."""
+        return self.operator.number(question, value)
+
     def decide(self, recorded: RecordedTrial) -> Decision:
         decision = self.operator.decide(recorded)
         if decision.kind != "discard" and not recorded.judged:
@@ -219,7 +223,7 @@ def _has_the_best(fish: Fish, held: Snapshot) -> bool:
         return False
     now, wanted = decode_learned(mine), decode_learned(held.learned)
     same = (now.reference_crc, now.iteration) == (wanted.reference_crc, wanted.iteration)
-    return same and now.input == _RESTORED_INPUT
+    return same and now.input == INPUT_RESTORED
 
 
 def end_repeat(fish: Fish, experiment: Experiment) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 
@@ -32,7 +33,7 @@ from tailbeat.session.collect import (
     stop_words,
 )
 from tailbeat.session.decide import DecisionResult, Decisions
-from tailbeat.session.events import Notice, Operator, TrialRecorded
+from tailbeat.session.events import InputChosen, Notice, Operator, TrialRecorded
 from tailbeat.session.guards import Guard, GuardedTrial
 from tailbeat.session.log import (
     RESUME_COMMAND,
@@ -43,6 +44,7 @@ from tailbeat.session.log import (
     switched_off_since,
     too_low,
 )
+from tailbeat.session.next_law import LawName, NextLaw
 from tailbeat.session.outcome import BY_HAND, Decision, DecisionKind, Ready, RecordedTrial
 from tailbeat.session.preflight import prepare
 from tailbeat.session.preflight_step import BatteryLow, GivenUp, PreflightLimits, countdown
@@ -87,7 +89,7 @@ class Options:
     """``wanted`` None: no preflight checks. ``learn``: kept trials are learned from at once;
     otherwise the series ends with the first, which waits. ``counts``: what a trial must have become
     to count for ``until.swims``. ``of_best``: these are the repeats of the best after a battery
-    swap. ``typed``: the command, for the event log."""
+    swap. ``typed``: the command, for the event log. ``law``: of the inputs."""
 
     until: Until = field(default_factory=Until)
     wanted: PreflightLimits | None = field(default_factory=PreflightLimits)
@@ -96,6 +98,7 @@ class Options:
     counts: tuple[DecisionKind, ...] = ("keep",)
     of_best: bool = False
     typed: str = ""
+    law: LawName = "auto"
 
 
 @dataclass(frozen=True)
@@ -159,8 +162,9 @@ def run_series(
             experiment.journal.add("typed", command=options.typed)
         around = TrialSetup(fish, operator, camera, guard, options.reconnect_s)
         log = SessionLog(experiment)
-        series = _Series(around, log, options, Decisions(fish, operator, log, options.learn))
-        return _run_safely(series, fish)
+        decisions = Decisions(fish, operator, log, options.learn)
+        law = NextLaw(fish, log, options.law)
+        return _run_safely(_Series(around, log, options, decisions, law), fish)
 
 
 def _require_no_repeat(experiment: Experiment) -> None:
@@ -195,10 +199,12 @@ class _Series:
     log: SessionLog
     options: Options
     decisions: Decisions
+    law: NextLaw
     rounds: list[Round] = field(default_factory=list)
     counted: int = 0
     verdict: Assessment | None = None
     yaw_deg: float | None = None  # of the first start, for the preflight checks to compare with
+    chosen: InputChosen | None = None  # of the input that comes next
 
     def end(self, why: str, words: str) -> SeriesEnd:
         write_redo(self.log.experiment)
@@ -358,6 +364,8 @@ class _Series:
         """Up to a board that is armed, with what guards the trial; without preflight checks only
         the room is looked at."""
         fish, wanted, operator = around.fish, self.options.wanted, around.operator
+        if self.chosen is None and not self.options.of_best:
+            self._choose(self.law.begin)
         ready, book = None, library_of(fish)
         if wanted is None:
             travel_next(fish, book).require_room()
@@ -370,7 +378,8 @@ class _Series:
         status = fish.status()
         volts = ready.battery_v if ready is not None else status.battery_v
         board_s = fish.clock.now_s()
-        self.log.begun(status.next_trial, status.iteration, ready, volts, board_s)
+        law = self.chosen.law if self.chosen is not None else ""
+        self.log.begun(status.next_trial, status.iteration, ready, volts, board_s, law)
         if wanted is not None:
             self._count_down(wanted, status.next_trial)
         return ready, guarded
@@ -422,16 +431,27 @@ class _Series:
         done: DecisionResult = self.decisions.carry_out(recorded, decision)
         self.rounds.append(Round(recorded, decision, done.learned))
         self.counted += counts and decision.kind in self.options.counts
-        if done.learned is not None:
+        if (learned := done.learned) is not None:
             around = self.around
+            self._choose(lambda: self.law.after(learned))
             self.verdict = assess_series(
-                around.fish, around.operator, self.log, done.learned.rolled_back
+                around.fish, around.operator, self.log, learned.rolled_back
             )
         if not done.left:
             return None
         critical = self.around.fish.status().fault.number == BATTERY_CRITICAL
         then = RESUME_COMMAND if critical else "tailbeat board clear"
         return self.end("stopped", f"{done.left} Then: {then}")
+
+    def _choose(self, choose: Callable[[], InputChosen]) -> None:
+        """What makes the next input; where the model has no answer the board's own step stands."""
+        try:
+            self.chosen = choose()
+        except InputError as error:
+            self.chosen = InputChosen("p", str(error))
+        self.around.operator.tell(self.chosen)
+        self.log.chosen(self.chosen, self.around.fish.status().next_trial)
+        copy_state(self.around.fish, self.log.experiment)
 
     def _notice(self, text: str) -> None:
         self.around.operator.tell(Notice(text))

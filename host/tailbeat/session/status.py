@@ -15,8 +15,8 @@ from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import identified_if_readable, identified_of, library_of
 from tailbeat.learning.assessment import progress_of
 from tailbeat.learning.convergence import Assessment
-from tailbeat.session.commission_steps import next_limit_increase
 from tailbeat.session.events import Assessed, Notice, Operator
+from tailbeat.session.limit import limit_offer
 from tailbeat.session.log import Drain, SessionLog
 
 
@@ -185,7 +185,7 @@ def advice(fish: Fish, experiment: Experiment) -> list[str]:
         return [f"AMP_MAX_RAD stays {params['AMP_MAX_RAD']:.2f}: no trial was executed with it yet"]
     straight = heading_drift(trials[-1]) if trials else None
     rolled_back = _has_rolled_back(experiment)
-    found = next_limit_increase(
+    found = limit_offer(
         params, reference, identified_if_readable(library_of(fish)), straight, rolled_back
     )
     if isinstance(found, str):

@@ -19,7 +19,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, Refused, TransferError
 from tailbeat.core.faults import NO_REFERENCE, refusal
 from tailbeat.core.law_memory import first_amplitudes
-from tailbeat.core.records import decode_reference
+from tailbeat.core.records import INPUT_FIRST, decode_reference
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.library import TrialLibrary, identified_if_readable
 from tailbeat.learning.fish_model import FishModel, trial_speeds
@@ -34,7 +34,6 @@ from tailbeat.session.outcome import Travel
 _TELLING_M = 0.1  # a trial that came less far says nothing of a longer one
 _MISS = 2.0  # the rest of a miss, after the fit, beyond which it was no swim like this one
 _had: WeakKeyDictionary[Fish, Trial] = WeakKeyDictionary()  # fetched last, by this connection
-_FIRST = 1  # memory_input_t: arming makes the amplitudes anew
 
 
 @dataclass(frozen=True)
@@ -170,7 +169,7 @@ def _next(fish: Fish, book: TrialLibrary | None) -> _Next:
     params = fish.params.values()
     law = laws.Law.from_params(params, wanted.beat_s)
     held = fish.amplitudes() if fish.status().iteration else None
-    if held is None or held.input == _FIRST:
+    if held is None or held.input == INPUT_FIRST:
         values = first_amplitudes(law, wanted.speed_m_s)
     else:
         values = held.values

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from tailbeat.core.trial_checks import (
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.current import current, set_and_save
 from tailbeat.experiment.library import RUN, TrialLibrary, library_of, preserve_folder
+from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.scatter import Scatter
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.events import Operator, StepProgress, notice_to
@@ -47,6 +48,7 @@ _SLOWER = 0.9
 _MARGIN_M = 0.15  # of the tank's length, left free
 _ALIKE_SIGMAS = 5.0  # two turns that differ by less tell no centre
 _FAR_RAD = 0.35  # a tail mounted further askew is no matter of trim
+_STRAIGHT_RAD = 0.14  # 8 degrees: a hundredth of the speed
 _BEATS_MIN = 8  # swum of both, to tell anything
 _NOTHING = "Nothing was changed; tailbeat session trim"
 _REST_S, _PATIENCE_S, _LOOK_S = 20.0, 90.0, 0.2  # of board time
@@ -184,10 +186,12 @@ def find_centre(
     camera: Camera | None = None,
     guard: Guard | None = None,
     limits: PreflightLimits | None = None,
+    on_trial: Callable[[TrialSpeeds], None] = lambda trial: None,
 ) -> Trim:
     """Swims twice, the tail centred a little to either side of what is set, and puts back what the
     board had learned, its reference and its centre. ``limits``: of the preflight checks before each
-    trial; None = only the operator is asked. Sets nothing: see apply.
+    trial; None = only the operator is asked. ``on_trial``: gets what the trials say of the fish's
+    speed, as far as it swam straight. Sets nothing: see apply.
 
     Raises InputError when the turns do not tell a centre (none was felt, the two are alike, or the
     centre would lie beyond the servo's range), GivenUp when the operator wants no more."""
@@ -208,6 +212,8 @@ def find_centre(
             for number, side in ((1, -1.0), (2, 1.0))
         ]
         one, two, source = _courses(logs, planned)
+        for log, course in zip(logs, (one, two), strict=True):
+            on_trial(_straight_part(log.trial, course))
         low, high = _turned(logs[0], one, source), _turned(logs[1], two, source)
         return centre_of((low, high), was_us, source, board.params)
 
@@ -272,7 +278,7 @@ class _TrimRunner:
         if not self.operator.confirm("Is the fish at its start, free on both sides? Swim?"):
             raise GivenUp("the trim was not wanted", _NOTHING)
         if self.limits is not None:
-            prepare(self.board.fish, self.limits, self.camera, self.operator)
+            prepare(self.board.fish, self.limits, self.camera, self.operator, planned.travel)
             countdown(self.board.fish, self.limits, self.operator)
         else:
             self._wait_until_still()
@@ -310,6 +316,16 @@ class _TrimRunner:
 def _reference(planned: TrimPlan) -> F64:
     """What is predicted, without the coast after the last beat."""
     return planned.predicted_m_s[: len(planned.amplitude_rad)]
+
+
+def _straight_part(trial: Trial, course: HeadingTrace) -> TrialSpeeds:
+    """Without the beats in which it swam askew: their speed along the tank is not its own."""
+    speeds = trial_speeds(trial)
+    heading = np.full(speeds.beats, np.nan)
+    heading[: len(course.heading_rad)] = course.heading_rad[: speeds.beats]
+    with np.errstate(invalid="ignore"):
+        is_straight = np.abs(heading) < _STRAIGHT_RAD
+    return replace(speeds, speed_m_s=np.where(is_straight, speeds.speed_m_s, np.nan))
 
 
 def _since_begin(

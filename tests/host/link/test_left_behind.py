@@ -99,6 +99,9 @@ class Script:
     def confirm(self, question: str) -> bool:
         return True
 
+    def number(self, question: str, value: float) -> float | None:
+        return value
+
 
 ONCE = Options(until=Until(1), wanted=None)
 

@@ -67,6 +67,9 @@ class Somebody:
         self.asked.append(question)
         return not (self.refuses and self.refuses in question)
 
+    def number(self, question: str, value: float) -> float | None:
+        return value
+
 
 # The rules
 

@@ -66,6 +66,9 @@ class Somebody:
     def confirm(self, question: str) -> bool:
         return True
 
+    def number(self, question: str, value: float) -> float | None:
+        return value
+
     def count(self, kind: type) -> int:
         return sum(isinstance(event, kind) for event in self.events)
 

@@ -87,6 +87,9 @@ class Script:
         self.questions.append(question)
         return self.yes
 
+    def number(self, question: str, value: float) -> float | None:
+        return value
+
     def of(self, kind: type[E]) -> list[E]:
         return [event for event in self.told if isinstance(event, kind)]
 

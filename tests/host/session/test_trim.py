@@ -58,6 +58,9 @@ class Somebody:
         assert "start" in question
         return self.says
 
+    def number(self, question: str, value: float) -> float | None:
+        return value
+
 
 def askew(rad: float, seed: int = 1, **more: float) -> Fish:
     return Fish.connect("sim:tank", seed=seed, tail_centre_rad=rad, **more)

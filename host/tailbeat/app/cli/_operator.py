@@ -295,6 +295,19 @@ class TerminalOperator:
         self.display.keep(key)
         return key == "y"
 
+    def number(self, question: str, value: float) -> float | None:
+        """Typed; with ``agrees`` as if it was, without a terminal not."""
+        if self.agrees or self.keys is None:
+            return value if self.agrees else None
+        self.keys.forget()
+        self.display.ask(f"{question} {value:g}: ")
+        typed = self.keys.line()
+        self._enter_may_follow = False
+        try:
+            return float(typed.replace(",", "."))
+        except ValueError:
+            return None
+
     def _ask(self, keys: Keys, recorded: RecordedTrial, proposal: Decision) -> Decision:
         letters = [
             k for k, (kind, _) in self.kinds.items() if kind != "keep" or recorded.measured_beats

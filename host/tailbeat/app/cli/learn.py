@@ -24,10 +24,12 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_TRIAL, refusal
 from tailbeat.core.printable import mm
+from tailbeat.core.records import INPUT_RESTORED
 from tailbeat.core.trial_checks import never_corrected
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.library import TrialLibrary, identified_of, library_of
 from tailbeat.learning.assessment import rollback_words
+from tailbeat.learning.belief import Beliefs
 from tailbeat.learning.convergence import Assessment
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
@@ -101,7 +103,6 @@ def _learn(fish: Fish, number: int | None) -> Output:
     )
 
 
-_RESTORED = 3  # what made the amplitudes that swim next, memory_input_t
 _ANEW = (
     "trial numbers come again: the trial library holds trials of this board from before its "
     "restart; for another fish name another folder in TAILBEAT_LOGBOOK"
@@ -124,11 +125,11 @@ def learn_with_model(
     trials = trials_since(identified, every, unique_id)
     if numbering_restarted(every, trials):
         warn(_ANEW)
-    step = next_step(setting, identified, trials)
+    step = next_step(setting, Beliefs(identified), trials)
     if dry_run:
         return _output(step, pending, None, None, None)
     report = None if pending is None else learn_and_log(fish, pending, "learn --law model")
-    restored = report.rolled_back if report else fish.amplitudes().input == _RESTORED
+    restored = report.rolled_back if report else fish.amplitudes().input == INPUT_RESTORED
     following = choose_next_input(step.proposal, restored, fish.status().best_max_abs_error_m_s)
     if following.upload:
         if book is not None:

@@ -195,11 +195,11 @@ def commission(
     camera: TankCameraOptions,
     connect: Connect = None,
 ) -> Output:
-    """Check, trim, identify and design for a new fish, then raise its limits.
+    """Check, trim and measure a new fish, offer it a limit, design its law.
 
-    Begins with the careful defaults of the board. Each limit rises in small steps, each with its
-    reason and after a short trial at that step; after a failed step the limits stay where they
-    were. Asks before every trial and before anything is raised.
+    Three short runs or more, from the careful defaults of the board. The amplitude limit is offered
+    only up to what a run went without a fault, and the number is to be typed. Asks before every
+    run.
 
     Example: tailbeat session commission --reference thesis --camera 0 --calibration tank.json
     """

@@ -35,6 +35,7 @@ from tailbeat.learning.saturation import Saturation, saturation_next
 from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.session.events import Event, OnEvent
 from tailbeat.session.guards import Guard, guards_of
+from tailbeat.session.next_law import LawName
 from tailbeat.session.outcome import Decision, DecisionKind
 from tailbeat.session.preflight_step import PreflightLimits
 from tailbeat.session.presenter import alert
@@ -66,14 +67,20 @@ class GuideOptions:
     )
     reason: str | None = opt("Why --then repeat or discard.", "TEXT")
     learn: bool = opt("Learn from what is kept at once.", name="--learn/--no-learn", default=True)
+    law: LawName = opt(
+        "Of the inputs; auto: model-based once a model predicts the fish, else P.",
+        "auto|model|p",
+        default="auto",
+    )
 
     def guided(self) -> bool:
         """Whether it is guided. Raises typer.BadParameter for what contradicts itself."""
         given = [self.rest, self.until, self.into, self.then]
-        asked = any(value is not None for value in given) or not self.learn
+        asked = any(value is not None for value in given) or not self.learn or self.law != "auto"
         if self.guide is False and (asked or self.reason is not None):
             raise typer.BadParameter(
-                "--no-guide goes without --rest, --until, --into, --then, --reason and --no-learn"
+                "--no-guide goes without --rest, --until, --into, --then, --reason, --law and"
+                " --no-learn"
             )
         if self.reason is not None and self.then is None:
             raise typer.BadParameter("--reason belongs to --then repeat or --then discard")
@@ -98,6 +105,7 @@ class GuideOptions:
             learn=self.learn,
             counts=(self.then or "keep",),
             typed=command_typed(),
+            law=self.law,
         )
 
 

@@ -357,3 +357,7 @@ class PageOperator:
         ask = self.worker._answered(self.fish, "answer", question=question)
         self.worker._phase("working", "note", question="")
         return bool(ask.values["yes"])
+
+    def number(self, question: str, value: float) -> float | None:
+        """As a question."""
+        return value if self.confirm(f"{question} {value:g}") else None

@@ -1,0 +1,143 @@
+"""How far AMP_MAX_RAD may rise: as far as the reference needs, a run has shown that the fish stands
+it, the servo turns and the tank has room.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tailbeat.core.reference import Reference
+from tailbeat.core.trial_checks import HeadingDrift
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.planner import plan
+from tailbeat.learning.saturation import (
+    GRAIN_RAD,
+    down_to_grain,
+    hold_rad,
+    needed_rad,
+    servo_rad,
+    up_to_grain,
+)
+from tailbeat.session.outcome import Travel
+from tailbeat.session.travel import travel_of
+
+AMP_MAX = "AMP_MAX_RAD"
+
+
+@dataclass(frozen=True)
+class LimitIncrease:
+    """A limit that may be raised. ``reason``: why that far and no farther, with its figures."""
+
+    name: str
+    was: float
+    to: float
+    reason: str
+
+    @property
+    def text(self) -> str:
+        """``AMP_MAX_RAD from 0.50 to 0.60: ...``."""
+        return f"{self.name} from {self.was:.2f} to {self.to:.2f}: {self.reason}"
+
+
+def limit_offer(
+    params: Mapping[str, float],
+    reference: Reference,
+    identified: Identified | None,
+    straight: HeadingDrift | None,
+    rolled_back: bool = False,
+) -> LimitIncrease | str:
+    """The limit that may be offered, or why there is none: enough for the reference with a margin,
+    not identified, not straight, rolled back, no run went so far, no room in the tank, the servo's
+    range. DU_MAX_RAD stays: it slows the way to an amplitude, and forbids none."""
+    now = params[AMP_MAX]
+    stays = f"{AMP_MAX} stays {now:.2f}"
+    if identified is None:
+        return (
+            f"{stays}: nobody knows yet what amplitude the reference needs:"
+            " tailbeat session commission"
+        )
+    need = needed_rad(identified, reference)
+    if need <= now + GRAIN_RAD / 2:
+        return f"{stays}: enough, the reference needs {need:.2f} with what learning adds"
+    if (why := _not_now(straight, rolled_back)) is not None:
+        return f"{stays}: {why}"
+    shown = tried_rad(identified)
+    to = min(up_to_grain(need), down_to_grain(servo_rad(params)), down_to_grain(shown))
+    if to < now + GRAIN_RAD / 2:
+        return f"{stays}: {_held_words(params, shown, need)}"
+    travel = _travel(params, reference, identified, to)
+    if not travel.fits:
+        return f"{stays}: no room for more, the trial would come {travel.text()}"
+    return LimitIncrease(AMP_MAX, now, to, _reason(params, reference, identified, need, to, travel))
+
+
+def tried_rad(identified: Identified) -> float:
+    """The largest amplitude of the runs by which the fish is known; 0 without any."""
+    tops = (float(trial.amplitude_rad.max()) for trial in identified.trials)
+    return round(max(tops, default=0.0), 4)  # the board's are float32
+
+
+def _not_now(straight: HeadingDrift | None, rolled_back: bool) -> str | None:
+    if rolled_back:
+        return (
+            "the board has just rolled back to its best input, and what went wrong would have more"
+            " room; swim until it learns again"
+        )
+    if straight is None:
+        return (
+            "nothing tells whether it swims straight (an IMU or a camera would); if you see that it"
+            " does, raise it yourself: tailbeat params set"
+        )
+    if straight.crooked:
+        off = abs(math.degrees(straight.worst_yaw_rad))
+        return f"it does not swim straight ({off:.0f} degrees off): tailbeat session trim"
+    return None
+
+
+def _held_words(params: Mapping[str, float], shown: float, need: float) -> str:
+    servo = servo_rad(params)
+    if shown < down_to_grain(servo):
+        return (
+            f"no run of the fish went beyond {shown:.2f} rad, and the reference needs {need:.2f}:"
+            " tailbeat session commission"
+        )
+    low, high = params["SERVO_MIN_US"], params["SERVO_MAX_US"]
+    return (
+        f"the servo turns {servo:.2f} rad to the shorter side ({low:.0f} to {high:.0f} us around "
+        f"{params['SERVO_CENTRE_US']:.0f}), and the reference needs {need:.2f}; use a slower one"
+    )
+
+
+def _travel(
+    params: Mapping[str, float], reference: Reference, identified: Identified, to: float
+) -> Travel:
+    """Of what the law tends to with that limit: the best input of the model."""
+
+    best = plan(identified.model, reference.speed_m_s, reference.beat_s, to)
+    allowed = dict(params) | {AMP_MAX: to}
+    return travel_of(best.amplitude_rad, allowed, reference.beat_s, identified)
+
+
+def _reason(
+    params: Mapping[str, float],
+    reference: Reference,
+    identified: Identified,
+    need: float,
+    to: float,
+    travel: Travel,
+) -> str:
+    top = float(np.max(reference.speed_m_s)) * 1e3
+    words = (
+        f"{hold_rad(identified, reference):.2f} rad hold the {top:.0f} mm/s of the reference, and "
+        f"it needs {need:.2f} with what learning adds"
+    )
+    if to < need - GRAIN_RAD / 2:
+        words += "; no run has shown more"
+    step = params.get("DU_MAX_RAD", 0.0)
+    if step > 0:
+        words += f"; DU_MAX_RAD stays {step:.2f} per trial"
+    return f"{words}; way {travel.text()}"

@@ -1,0 +1,130 @@
+"""Which law makes the next input: the P law on the board, or the model-based law on this computer.
+
+By default the model-based law, from the trial on that a model predicts: of a fish whose runs were
+measured at once; of another one once a model fitted to its trials foresees with 95 % probability
+that its input does better than the first trial did. Until then, after a misfit, and on request, the
+board's own step stands. The board makes that step after every trial all the same, so it goes on by
+itself should this computer fail.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from tailbeat.board.fish import Fish
+from tailbeat.core.printable import mm
+from tailbeat.core.records import INPUT_RESTORED, INPUT_UPLOADED
+from tailbeat.core.reference import Reference
+from tailbeat.experiment.library import identified_if_readable, library_of
+from tailbeat.learning.assessment import rollback_words
+from tailbeat.learning.belief import Beliefs
+from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
+from tailbeat.learning.identification import any_fish
+from tailbeat.link.messages import LearnReport
+from tailbeat.session.events import InputChosen
+from tailbeat.session.log import SessionLog
+from tailbeat.session.next_input import (
+    ModelStep,
+    choose_next_input,
+    next_step,
+    setting_of,
+    trials_since,
+    upload,
+)
+
+LawName = Literal["auto", "model", "p"]
+ON_REQUEST = "on request"
+
+
+@dataclass
+class NextLaw:
+    """The law of one series. It learns from all trials in the fish's library, or without one from
+    those of ``log``. ``wanted``: ``auto`` = as above."""
+
+    fish: Fish
+    log: SessionLog
+    wanted: LawName = "auto"
+    _beliefs: Beliefs | None = field(default=None, init=False)
+
+    def begin(self) -> InputChosen:
+        """Before the first trial of a series: plans it where nothing has been learned yet, and
+        where the board has made a step by itself since. What was uploaded or restored stays."""
+        kept = _KEPT.get(self.fish.amplitudes().input or 0)
+        return kept or self._chosen(restored=False)
+
+    def after(self, report: LearnReport) -> InputChosen:
+        """After the board has learned from a trial; it has the next input when this returns."""
+        return self._chosen(report.rolled_back)
+
+    def _chosen(self, restored: bool) -> InputChosen:
+        if self.wanted == "p":
+            return _restored_or_p(restored, ON_REQUEST)
+        beliefs = self._known()
+        trials = trials_since(beliefs.identified, self._trials(), self.fish.unique_id())
+        if self.wanted == "auto" and beliefs.identified.source == "none" and not trials:
+            return InputChosen("p", "nothing has been measured of this fish yet")
+        setting = setting_of(self.fish)
+        step = next_step(setting, beliefs, trials)
+        if why := self._not_yet(step, setting.reference, trials):
+            return _restored_or_p(restored, why)
+        best_m_s = self.fish.status().best_max_abs_error_m_s
+        following = choose_next_input(step.proposal, restored, best_m_s)
+        if not following.upload:
+            return InputChosen("best", following.words)
+        if (book := library_of(self.fish)) is not None:
+            book.add_proposal(step.document)
+        upload(self.fish, setting, step.proposal)
+        expected = step.proposal.predicted_max_abs_error_m_s
+        return InputChosen(step.proposal.law, step.proposal.reason, expected)
+
+    def _trials(self) -> list[TrialSpeeds]:
+        """Oldest first."""
+        if (book := library_of(self.fish)) is not None:
+            return book.speeds()
+        known = [trial_speeds(trial) for trial in self.log.counting()]
+        return [trial for trial in known if trial.measured.any()]
+
+    def _known(self) -> Beliefs:
+        """Made anew when the fish has been identified meanwhile."""
+        identified = identified_if_readable(library_of(self.fish)) or any_fish()
+        held = self._beliefs
+        if held is None or held.identified.made != identified.made:
+            self._beliefs = held = Beliefs(identified)
+        return held
+
+    def _not_yet(self, step: ModelStep, reference: Reference, trials: Sequence[TrialSpeeds]) -> str:
+        """Why the board's own step stands; empty = the model's input takes its place."""
+        if step.proposal.law == "p":
+            return step.proposal.reason
+        if self.wanted == "model" or step.document["identified"]["source"] != "none":
+            return ""
+        low, _, high = step.proposal.predicted_max_abs_error_m_s
+        if high < _first_error(reference, trials):
+            return ""
+        count = f"{len(trials)} trial{'s' if len(trials) > 1 else ''}"
+        return (
+            f"a model fitted to {count} does not promise less than the first trial had:"
+            f" {mm(low)} to {mm(high)} mm/s"
+        )
+
+
+_KEPT = {
+    INPUT_UPLOADED: InputChosen("model", "uploaded before"),
+    INPUT_RESTORED: InputChosen("best", "restored"),
+}
+
+
+def _restored_or_p(restored: bool, why: str) -> InputChosen:
+    """The board's own step."""
+    return InputChosen("best", f"{rollback_words()}; {why}") if restored else InputChosen("p", why)
+
+
+def _first_error(reference: Reference, trials: Sequence[TrialSpeeds]) -> float:
+    """max|e| of the first trial of the reference; that of a tail at rest without one."""
+    of_it = [t for t in trials if t.reference_crc == reference.crc and t.measured.any()]
+    speed = of_it[0].speed_m_s if of_it else np.zeros(reference.beats)
+    return float(np.nanmax(np.abs(reference.speed_m_s - speed)))
