@@ -148,13 +148,13 @@ static void begin(block_t *block) {
     set_windows(block);
 }
 
-/* Of a fish whose path is no line: along its heading. */
+/* Of a fish whose path is no line: along its heading. Nobody has trimmed its tail. */
 static void frame_reactive(block_t *block, const drive_t *drive) {
     shoal_block_t *rows = &block->rows;
     plant_t *plant = &block->plant;
     const double way_m = rows->way_m[0];
     const double ahead = plant->cosine, aside = plant->sine;
-    plant_frame(plant, drive, 0, rows->frame_s);
+    plant_frame(plant, drive, block->task->configs[block->first].tail_centre_rad, rows->frame_s);
     const plant_point_t *trace = plant->trace;
     for (unsigned i = 0; i <= SUBSTEPS; i++) {
         rows->trace_v_m_s[i][0] = trace[i].vx_m_s * ahead + trace[i].vy_m_s * aside;

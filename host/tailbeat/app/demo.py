@@ -186,7 +186,7 @@ class _Demo:
         if fish.status().pending_trial is not None:
             raise InputError(
                 "the board still holds a trial that is neither learned nor discarded.",
-                "tailbeat learn, or tailbeat trial discard.",
+                "tailbeat trial learn, or tailbeat trial discard.",
             )
         law = {"ILC_GAIN": self.options.gain, "ILC_LEAD": float(self.lead)}
         fish.params.apply({**THESIS, **law})

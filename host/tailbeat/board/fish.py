@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -73,6 +74,8 @@ class Fish(BoardMemory):
         Its parameters.
     ftp : FtpClient
         Its files.
+    library_root : Path or None
+        Folder of the trial libraries, if not the usual one.
     """
 
     def __init__(self, transport: Transport) -> None:
@@ -80,6 +83,7 @@ class Fish(BoardMemory):
         super().__init__(Link(transport))
         self.clock = BoardClock(self.link)
         self.params = Parameters(self.link)
+        self.library_root: Path | None = None
 
     @classmethod
     def connect(cls, url: str | None = None, /, **sim_overrides: float) -> Fish:

@@ -203,7 +203,7 @@ def require_idle(fish: Fish, then: str) -> BoardStatus:
     if status.pending_trial is not None:
         raise InputError(
             f"trial {status.pending_trial} is neither learned nor discarded.",
-            f"tailbeat learn, or tailbeat trial discard --reason WHY; then {then}.",
+            f"tailbeat trial learn, or tailbeat trial discard --reason WHY; then {then}.",
         )
     if status.state != "IDLE":
         raise InputError(

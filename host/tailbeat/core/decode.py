@@ -17,7 +17,7 @@ from typing import Any, TypeVar, get_args, get_origin
 import msgspec
 import numpy as np
 
-from tailbeat.core.errors import InputError, reason
+from tailbeat.core.errors import InputError, did_you_mean, reason
 
 T = TypeVar("T")
 Prepare = Callable[[Any], Any]
@@ -96,7 +96,8 @@ def convert(
         problem, place = _explained(str(error))
         known = _known_keys(kind, place) if "unknown key" in problem else []
         at = f"{where}: {place}" if place else where
-        hint = f"Known are {', '.join(known)}." if known else remedy
+        guess = did_you_mean(problem.removeprefix("unknown key "), known)
+        hint = f"{guess}Known are {', '.join(known)}." if known else remedy
         raise InputError(f"{at}: {problem}", hint) from error
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         raise InputError(f"{where}: {_of_python(error)}", remedy) from error

@@ -5,7 +5,8 @@ Every error says in one line what is wrong and what to do about it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from types import MappingProxyType
 from typing import Any
 
@@ -84,3 +85,9 @@ def sentence(text: str) -> str:
 def reason(error: Exception) -> str:
     """Why the system refused, without its numbers and paths."""
     return str(getattr(error, "strerror", None) or error)
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """``Did you mean x or y? ``, to stand before a remedy; empty when nothing is alike."""
+    alike = get_close_matches(word, list(known), n=2)
+    return f"Did you mean {' or '.join(alike)}? " if alike else ""

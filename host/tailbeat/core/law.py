@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.core.arrays import F32
-from tailbeat.core.errors import InputError, reason
+from tailbeat.core.errors import InputError, did_you_mean, reason
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.param_names import current_name
 
@@ -246,14 +246,17 @@ def _check_kind(path: Path, key: str, value: object) -> None:
         raise InputError(
             f"{path.name}: {key} is not 0. An average needs its earlier trials, and this applies "
             "the law to one.",
-            f"Leave {key} out; the board averages with ILC_KIND 1 or 2, see 'learn --dry-run'.",
+            f"Leave {key} out; the board averages with ILC_KIND 1 or 2 (trial learn --dry-run).",
         )
 
 
 def _law_value(path: Path, key: str, field: str, value: object) -> float | int:
     names = [f.name for f in fields(Law)]
     if field not in names:
-        raise InputError(f"{path.name}: unknown key {key}.", f"Known are {', '.join(names)}.")
+        raise InputError(
+            f"{path.name}: unknown key {key}.",
+            f"{did_you_mean(key, names)}Known are {', '.join(names)}.",
+        )
     if field == "tail" and isinstance(value, str) and value in _TAILS:
         return _TAILS[value]
     if isinstance(value, bool) or not isinstance(value, int | float):

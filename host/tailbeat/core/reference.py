@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F32, F64
 from tailbeat.core.csv import read_rows, read_table, value_of
-from tailbeat.core.errors import InputError
+from tailbeat.core.errors import InputError, did_you_mean
 from tailbeat.core.files import replacing_text
 from tailbeat.core.records import encode_reference
 
@@ -372,5 +372,5 @@ def from_text(text: str) -> Reference:
     if path.is_dir():
         raise InputError(f"'{text}' is a folder, no reference.", "Name a CSV file in it.")
     if not path.exists():
-        raise InputError(f"there is no reference '{text}'.", _NAMES)
+        raise InputError(f"there is no reference '{text}'.", did_you_mean(kind, _SHAPES) + _NAMES)
     return from_csv(path)

@@ -14,9 +14,10 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from tailbeat.board.fish import Fish
@@ -170,9 +171,25 @@ class TrialLibrary(TrialStore):
 def library_of(fish: Fish, root: Path | None = None) -> TrialLibrary | None:
     """The trial library of a connected board. None for a simulated one in this process, which is a
     new fish every time, unless a folder is named."""
+    root = root or fish.library_root
     if fish.sim is not None and root is None and FOLDER_VARIABLE not in os.environ:
         return None
     return TrialLibrary.of(fish.unique_id(), root)
+
+
+@contextlib.contextmanager
+def some_library(fish: Fish) -> Iterator[None]:
+    """Gives a simulated fish in this process, which has none, a trial library for the length of a
+    block."""
+    if library_of(fish) is not None:
+        yield
+        return
+    with TemporaryDirectory() as folder:
+        fish.library_root = Path(folder)
+        try:
+            yield
+        finally:
+            fish.library_root = None
 
 
 def identified_of(library: TrialLibrary | None) -> Identified | None:

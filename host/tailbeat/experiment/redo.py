@@ -175,7 +175,7 @@ def _step(entry: Mapping[str, Any]) -> str:
         "restarted": "the board had been switched off; gone on with, without a repeat of the best",
         "trimmed": f"`tailbeat session trim`: centre {entry.get('centre_us')} us",
         "identified": f"`tailbeat session identify`: {entry.get('file')}",
-        "restored": "`tailbeat learn --restore-best`: the best amplitudes swim next"
+        "restored": "`tailbeat trial learn --restore-best`: the best amplitudes swim next"
         + (f" (trial {trial})" if trial else ""),
     }.get(what, "")
 

@@ -374,7 +374,7 @@ def _advice(scores: Sequence[Score], band: NoiseBand) -> str:
     best = best_of(scores)
     assert best is not None
     recorded = len(repeats_of(scores, best.input_crc))
-    restore = "tailbeat learn --restore-best"
+    restore = "tailbeat trial learn --restore-best"
     if recorded >= _REPEATS_MIN:
         words = f"done: trial {best.trial}'s input was executed {recorded} times, {band.text()}"
         return f"{words}; keep it: {restore}"

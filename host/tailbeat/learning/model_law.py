@@ -346,7 +346,7 @@ def repropose(document: dict[str, Any], trials: Sequence[TrialSpeeds]) -> Propos
     if document.get("format") != FORMAT:
         raise InputError(
             f"this proposal is of another law ({document.get('format')}; here it is {FORMAT}).",
-            "Take the tailbeat that made it, or plan anew: tailbeat learn --law model.",
+            "Take the tailbeat that made it, or plan anew: tailbeat trial learn --law model.",
         )
     try:
         reference = Reference(

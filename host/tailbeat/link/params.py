@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from functools import cache, partial
 from itertools import islice
 
-from tailbeat.core.errors import InputError, Refused, TransferError
+from tailbeat.core.errors import InputError, Refused, TransferError, did_you_mean
 from tailbeat.core.faults import BAD_PARAM, LAW_FEEDBACK, LAW_SIGN, WRONG_STATE, refusal
 from tailbeat.core.law import Law
 from tailbeat.core.native import ffi, lib
@@ -275,8 +275,7 @@ def _encode(name: str) -> bytes:
 def _no_such(name: str) -> Refused:
     told = refusal(BAD_PARAM)
     alike = get_close_matches(name.upper(), [*known_parameters(), *renamed()], n=2)
-    alike = list(dict.fromkeys(map(current_name, alike)))
-    guess = f"Did you mean {' or '.join(alike)}? " if alike else ""
+    guess = did_you_mean(name.upper(), dict.fromkeys(map(current_name, alike)))
     remedy = f"{guess}Print all names: tailbeat params list"
     return Refused(told.number, told.name, f"the board has no parameter '{name}'", remedy)
 

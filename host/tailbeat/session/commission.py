@@ -9,20 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from tailbeat.board.diagnostics import look_at
-from tailbeat.board.diagnostics.evidence import PROBLEM
 from tailbeat.board.fish import Fish
-from tailbeat.board.preserve import require_idle, restore_interrupted
 from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.core.reference import Reference, ReferenceLimits
-from tailbeat.core.speed_source import Camera, SpeedSource, speed_source
+from tailbeat.core.speed_source import Camera
 from tailbeat.experiment.current import set_and_save
-from tailbeat.experiment.library import library_of, name_reference, preserve_folder
-from tailbeat.learning.design import design, law_words
+from tailbeat.experiment.library import library_of, name_reference
+from tailbeat.learning.design import design
 from tailbeat.learning.fish_model import TrialSpeeds
 from tailbeat.learning.saturation import needed_rad, servo_rad
-from tailbeat.session.events import Notice, Operator
+from tailbeat.session.events import Notice, Operator, StepEnded
 from tailbeat.session.guards import Guard
+from tailbeat.session.health import HEALTH, check_health
 from tailbeat.session.identify import set_params
 from tailbeat.session.limit import LimitIncrease, limit_offer
 from tailbeat.session.measure import MeasuredFish, measure_fish
@@ -30,18 +28,22 @@ from tailbeat.session.preflight_step import GivenUp, PreflightLimits
 from tailbeat.session.trial_camera import camera_of
 from tailbeat.session.trim import apply, find_centre
 
-_CAMERA_LOOK_S = 1.5  # of board time
-
 
 @dataclass(frozen=True)
-class CommissionStep:
-    """One step that was taken. ``name``: health, trim, measure, limit, law. ``done`` False: it
-    failed or was left out, as ``words`` say. ``limit``: what was raised."""
+class CommissionStep(StepEnded):
+    """One step that was taken: health, tank, trim, measure, limit, law. ``limit``: what was raised.
+    ``found``: what was measured."""
 
-    name: str
-    done: bool
-    words: str
     limit: LimitIncrease | None = None
+    found: MeasuredFish | None = None
+
+    @property
+    def ends(self) -> bool:
+        """Whether it failed and the steps after it cannot do without."""
+        return not self.done and self.name not in _MAY_FAIL
+
+
+_MAY_FAIL = ("trim", "limit")
 
 
 def commission_fish(
@@ -53,27 +55,16 @@ def commission_fish(
     limits: PreflightLimits | None = None,
 ) -> Iterator[CommissionStep]:
     """Yields each step when it is done. Asks (operator.confirm) before the fish swims and before
-    anything is raised; ``limits``: of the preflight checks before each trial. Saves what it sets.
+    anything is raised; ``limits``: of the preflight checks before each run. Saves what it sets.
     Uploads the reference. Ends early, with a step that is not done, when one fails that the next
-    ones need. Raises LinkLostError."""
+    ones need (``ends``). Raises LinkLostError."""
     with camera_of(fish, camera) as used:
-        limits = limits or PreflightLimits()
-        yield from _steps(_Session(fish, reference, operator, used, guard, limits))
-
-
-def _steps(session: _Session) -> Iterator[CommissionStep]:
-    needed: list[tuple[str, Callable[[], CommissionStep], bool]] = [
-        ("health", session.look, True),
-        ("trim", session.trim, False),
-        ("measure", session.measure, True),
-        ("limit", session.limit, False),
-        ("law", session.law, True),
-    ]
-    for name, take, must in needed:
-        step = _taken(name, take)
-        yield step
-        if must and not step.done:
-            return
+        session = _Session(fish, reference, operator, used, guard, limits or PreflightLimits())
+        for name, take in session.steps():
+            step = _taken(name, take)
+            yield step
+            if step.ends:
+                return
 
 
 def _taken(name: str, take: Callable[[], CommissionStep]) -> CommissionStep:
@@ -100,54 +91,30 @@ class _Session:
     trials: list[TrialSpeeds] = field(default_factory=list, init=False)
     found: MeasuredFish | None = field(default=None, init=False)
 
-    def look(self) -> CommissionStep:
-        """Whether it can swim at all; then the reference."""
-        fish = self.fish
-        restore_interrupted(fish, preserve_folder(library_of(fish)), self._note)
-        require_idle(fish, "tailbeat session commission")
-        params = fish.params.values()
-        findings = look_at(fish)
-        problems = [f"{one.name}: {one.line}" for one in findings if one.status == PROBLEM]
-        told = [f"{one.name}: {one.text}" for one in findings if one.status != PROBLEM]
-        source = speed_source(params)
-        if not source.sampled:
-            told.append(f"speeds by {source.name}")
-        seen, why = self._seen(source)
-        told.append(seen) if not why else problems.append(why)
-        if problems:
-            return CommissionStep("health", False, "; ".join(problems))
-        self._ask(_tank_question(params), "The tank's length was not confirmed")
-        self._give_reference()
-        return CommissionStep("health", True, "; ".join(told))
+    def steps(self) -> list[tuple[str, Callable[[], CommissionStep]]]:
+        """In order."""
+        return [
+            (HEALTH, self.health),
+            ("tank", self.tank),
+            ("trim", self.trim),
+            ("measure", self.measure),
+            ("limit", self.limit),
+            ("law", self.law),
+        ]
 
-    def _seen(self, source: SpeedSource) -> tuple[str, str]:
-        """(what the camera sees, what is wrong)."""
-        if source.uploaded:
-            return "", (
-                "speeds: SPD_SOURCE is upload, and commissioning needs them while it swims;"
-                " set another, or do it by hand: tailbeat session identify, tailbeat session design"
-            )
-        if self.camera is None:
-            text = "camera: there is none, and SPD_SOURCE is vision. Give --camera"
-            return ("no camera", "") if not source.sampled else ("", text)
-        self.fish.link.run(_CAMERA_LOOK_S / max(self.fish.clock.rate, 1.0))
-        frames = self.camera.frames()
-        if not frames:
-            return "", "camera: it does not see the fish. Look at light and marker: camera track"
-        return f"camera: it sees the fish ({len(frames)} pictures)", ""
+    def health(self) -> CommissionStep:
+        """Whether it can swim at all."""
+        command = "tailbeat session commission"
+        return CommissionStep(**vars(check_health(self.fish, self.camera, self.operator, command)))
 
-    def _give_reference(self) -> None:
-
-        problems = self.reference.check(ReferenceLimits.from_params(self.fish.params.values()))
-        if problems:
-            raise InputError(problems[0].meaning, problems[0].remedy)
-        status = self.fish.status()
-        another = status.reference_crc not in (None, self.reference.crc)
-        if another and status.best_iteration is not None:
-            text = "The board has learned along another reference and will forget that. Go on?"
-            self._ask(text, "What the board has learned is kept")
-        self.fish.upload_reference(self.reference)
-        name_reference(self.fish, self.reference)
+    def tank(self) -> CommissionStep:
+        """How much room there is, and for which reference."""
+        question, answer = _tank_question(self.fish.params.values())
+        self._ask(question, "The length was not confirmed (tailbeat params set TANK_LEN_M)")
+        give_reference(self.fish, self.reference, self.operator)
+        return CommissionStep(
+            "tank", True, f"{answer}; the reference (the speed to learn) is {self.reference.name}"
+        )
 
     def trim(self) -> CommissionStep:
         """Left out where nothing feels a turn."""
@@ -192,6 +159,7 @@ class _Session:
             f"{runs}: {model.slope_m_s_rad * 1e3:.0f} mm/s per rad beyond "
             f"{model.dead_zone_rad:.2f} rad, drag over mass {model.kappa_per_m:.1f} 1/m, delay "
             f"{model.delay_s:.2f} s",
+            found=found,
         )
 
     def limit(self) -> CommissionStep:
@@ -224,9 +192,8 @@ class _Session:
         return CommissionStep(
             "law",
             True,
-            f"{law_words(found.law)}: convergence rate {found.ratio_dc:.2f} at steady speed, "
-            f"{found.ratio_max:.2f} at worst; does not learn from gain "
-            f"{found.static_gain_max:.2f} on",
+            "the board's own learning law is set for this fish: should this computer fail, the"
+            " board goes on alone",
         )
 
     def _ask(self, question: str, otherwise: str) -> None:
@@ -237,11 +204,29 @@ class _Session:
             )
 
 
-def _tank_question(params: dict[str, float]) -> str:
+def give_reference(fish: Fish, reference: Reference, operator: Operator) -> None:
+    """The board's, from now on; asks when that costs what the board has learned. Raises GivenUp,
+    InputError for a reference beyond the board's limits."""
+    status = fish.status()
+    if status.reference_crc == reference.crc:
+        return
+    if problems := reference.check(ReferenceLimits.from_params(fish.params.values())):
+        raise InputError(problems[0].meaning, problems[0].remedy)
+    text = "The board has learned along another reference and will forget that. Go on?"
+    if status.best_iteration is not None and not operator.confirm(text):
+        raise GivenUp("What the board has learned is kept: the answer was no.", "")
+    fish.upload_reference(reference)
+    name_reference(fish, reference)
+
+
+def _tank_question(params: dict[str, float]) -> tuple[str, str]:
+    """(question, what is so when it was answered with yes)."""
     tank_m, fish_m = params["TANK_LEN_M"], params["FISH_LEN_M"]
     if tank_m <= 0:
-        return "TANK_LEN_M is 0: nothing keeps the fish from the far wall. Go on all the same?"
+        words = "The tank's length (TANK_LEN_M) is 0: nothing keeps the fish from the far wall"
+        return f"{words}. Go on all the same?", words
+    room = f"{tank_m - fish_m:.2f} m of room"
     return (
-        f"By TANK_LEN_M the tank is {tank_m:.2f} m long and by FISH_LEN_M the fish {fish_m:.2f} m: "
-        f"it may swim {tank_m - fish_m:.2f} m. Is that right?"
+        f"The tank is {tank_m:.2f} m long and the fish {fish_m:.2f} m: {room}. Is that right?",
+        room,
     )

@@ -256,7 +256,7 @@ class Decisions:
         if decision.kind != "keep" and learned:
             what, remedy = (
                 "has learned from it",
-                "To swim the best so far next: tailbeat learn --restore-best",
+                "To swim the best so far next: tailbeat trial learn --restore-best",
             )
         elif decision.kind == "keep" and recorded.measured_beats and not (learned or waits):
             what, remedy = "does not hold it any more and has not learned from it", "Swim it again"

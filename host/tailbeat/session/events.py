@@ -103,6 +103,26 @@ class TrialDecided:
 
 
 @dataclass(frozen=True)
+class StepBegun:
+    """A step of a guided job. ``why``: what it is for; ``takes``: how long, in words."""
+
+    number: int
+    of: int
+    name: str
+    why: str
+    takes: str
+
+
+@dataclass(frozen=True)
+class StepEnded:
+    """``done`` False: it failed or was left out, as ``words`` say."""
+
+    name: str
+    done: bool
+    words: str
+
+
+@dataclass(frozen=True)
 class InputChosen:
     """What makes the next input. ``law``: ``p`` (the board's own step), ``model``, or ``best`` (the
     best input so far). ``why``: the reason, in words. ``expected_m_s``: 5 %, median and 95 % of its
@@ -167,6 +187,8 @@ Event = (
     | TrialRecorded
     | TrialDecided
     | LearnReport
+    | StepBegun
+    | StepEnded
     | InputChosen
     | Assessed
     | Notice

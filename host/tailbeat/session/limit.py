@@ -39,8 +39,9 @@ class LimitIncrease:
 
     @property
     def text(self) -> str:
-        """``AMP_MAX_RAD from 0.50 to 0.60: ...``."""
-        return f"{self.name} from {self.was:.2f} to {self.to:.2f}: {self.reason}"
+        """``AMP_MAX_RAD (the largest amplitude) from 0.50 to 0.60 rad: ...``."""
+        rise = f"from {self.was:.2f} to {self.to:.2f} rad"
+        return f"{self.name} (the largest amplitude of the tail) {rise}: {self.reason}"
 
 
 def limit_offer(
@@ -52,7 +53,7 @@ def limit_offer(
 ) -> LimitIncrease | str:
     """The limit that may be offered, or why there is none: enough for the reference with a margin,
     not identified, not straight, rolled back, no run went so far, no room in the tank, the servo's
-    range. DU_MAX_RAD stays: it slows the way to an amplitude, and forbids none."""
+    range."""
     now = params[AMP_MAX]
     stays = f"{AMP_MAX} stays {now:.2f}"
     if identified is None:
@@ -132,12 +133,8 @@ def _reason(
 ) -> str:
     top = float(np.max(reference.speed_m_s)) * 1e3
     words = (
-        f"{hold_rad(identified, reference):.2f} rad hold the {top:.0f} mm/s of the reference, and "
-        f"it needs {need:.2f} with what learning adds"
+        f"{hold_rad(identified, reference):.2f} hold the {top:.0f} mm/s of the reference, and it"
+        f" needs {need:.2f} with what learning adds; a run went to {tried_rad(identified):.2f}"
+        " without a fault"
     )
-    if to < need - GRAIN_RAD / 2:
-        words += "; no run has shown more"
-    step = params.get("DU_MAX_RAD", 0.0)
-    if step > 0:
-        words += f"; DU_MAX_RAD stays {step:.2f} per trial"
-    return f"{words}; way {travel.text()}"
+    return f"{words}; the fish travels {travel.text()}"

@@ -49,7 +49,7 @@ _HOLD_BEATS, _COAST_BEATS = 3, 6
 _SMALLER_RAD = 0.05  # steps of the highest amplitude where even the shortest rise has no room
 _MARGIN_M = 0.15  # of the tank's length, left free
 _TELLING_BEATS = 8  # of a run that was stopped for lack of room
-_HANDS = "Put the fish at rest at its wall. Ready?"
+_HANDS = "Put the fish at rest at its start. Ready?"
 
 
 @dataclass(frozen=True)
@@ -74,10 +74,11 @@ class MeasuringRun:
     def question(self, limit_rad: float) -> str:
         """Before it, for the operator."""
         beyond = self.top_rad > limit_rad + GRAIN_RAD / 2
-        words = f", beyond AMP_MAX_RAD {limit_rad:.2f} for this run only" if beyond else ""
+        words = f", for this run beyond its limit of {limit_rad:.2f}" if beyond else ""
         return (
-            f"Run {self.number}: {len(self.amplitude_rad)} beats, the amplitude rises to"
-            f" {self.top_rad:.2f} rad{words}; {self.travel.text()}. {_HANDS}"
+            f"Run {self.number} to measure the fish: in {len(self.amplitude_rad)} beats the tail"
+            f" swings wider and wider, to {self.top_rad:.2f} rad{words}; {self.travel.text()}."
+            f" {_HANDS}"
         )
 
 

@@ -16,9 +16,11 @@ from typing import Literal
 import numpy as np
 
 from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
 from tailbeat.core.records import INPUT_RESTORED, INPUT_UPLOADED
 from tailbeat.core.reference import Reference
+from tailbeat.experiment.folder import copy_state
 from tailbeat.experiment.library import identified_if_readable, library_of
 from tailbeat.learning.assessment import rollback_words
 from tailbeat.learning.belief import Beliefs
@@ -54,15 +56,28 @@ class NextLaw:
         """Before the first trial of a series: plans it where nothing has been learned yet, and
         where the board has made a step by itself since. What was uploaded or restored stays."""
         kept = _KEPT.get(self.fish.amplitudes().input or 0)
-        return kept or self._chosen(restored=False)
+        return self._noted(kept or self._chosen(restored=False))
 
     def after(self, report: LearnReport) -> InputChosen:
         """After the board has learned from a trial; it has the next input when this returns."""
-        return self._chosen(report.rolled_back)
+        return self._noted(self._chosen(report.rolled_back))
+
+    def _noted(self, chosen: InputChosen) -> InputChosen:
+        """In the event log, with the copy of what the board has now."""
+        self.log.chosen(chosen, self.fish.status().next_trial)
+        copy_state(self.fish, self.log.experiment)
+        return chosen
 
     def _chosen(self, restored: bool) -> InputChosen:
+        """Where the model has no answer the board's own step stands."""
         if self.wanted == "p":
             return _restored_or_p(restored, ON_REQUEST)
+        try:
+            return self._by_the_model(restored)
+        except InputError as error:
+            return _restored_or_p(restored, str(error))
+
+    def _by_the_model(self, restored: bool) -> InputChosen:
         beliefs = self._known()
         trials = trials_since(beliefs.identified, self._trials(), self.fish.unique_id())
         if self.wanted == "auto" and beliefs.identified.source == "none" and not trials:

@@ -19,6 +19,8 @@ from tailbeat.session.events import (
     LinkRestored,
     LiveValues,
     Notice,
+    StepBegun,
+    StepEnded,
     StepProgress,
     TrialDecided,
     TrialEnded,
@@ -79,15 +81,19 @@ def result(event: Event) -> str:
             )
         case InputChosen():
             return input_text(event)
+        case StepBegun(number, of, name, why, takes):
+            return f"{number}/{of} {name}: {why} ({takes})"
+        case StepEnded(name, done, words):
+            return f"{_MARKS[done]:>2}  {name}: {words}"
         case Assessed():
             return event.words
     return ""
 
 
 LAWS = {
-    "p": "P law on the board",
-    "model": "model-based law",
-    "best": "best input so far, once more",
+    "p": "by the P law on the board",
+    "model": "model-based, planned on this computer",
+    "best": "the best one so far, once more",
 }
 
 
@@ -173,11 +179,11 @@ def record_lines(record: RecordedTrial) -> list[str]:
     outcome = record.outcome
     stopped = f" ({record.stopped})" if record.stopped else ""
     measured = f"{record.measured_beats} of {record.beats} beats measured"
+    errors = f"max|e| {mm(record.max_abs_error_m_s)} mm/s, RMS {mm(record.rms_error_m_s)}"
     return [
-        f"trial {outcome.number}, iteration {outcome.iteration}: {outcome.end}{stopped}, "
+        f"trial {outcome.number}: {outcome.end}{stopped}, "
         f"{outcome.executed_beats} beats, {measured}",
-        f"  max|e| {mm(record.max_abs_error_m_s)} mm/s, RMS {mm(record.rms_error_m_s)}; "
-        f"{_straight_text(record.straight)}; {_battery_text(record)}",
+        f"  largest error {errors}; {_straight_text(record.straight)}; {_battery_text(record)}",
     ]
 
 

@@ -70,7 +70,7 @@ def repeat_best(
     if status.pending_trial is not None and not _swam_the_best(fish, held, status.pending_trial):
         raise InputError(
             f"trial {status.pending_trial} waits on the board, neither learned nor discarded.",
-            f"tailbeat learn, or tailbeat trial discard --reason WHY; then: {RESUME_COMMAND}",
+            f"tailbeat trial learn, or tailbeat trial discard --reason WHY; then: {RESUME_COMMAND}",
         )
     if status.pending_trial is None:
         end_repeat(fish, experiment)

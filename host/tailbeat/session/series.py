@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 
@@ -89,7 +88,8 @@ class Options:
     """``wanted`` None: no preflight checks. ``learn``: kept trials are learned from at once;
     otherwise the series ends with the first, which waits. ``counts``: what a trial must have become
     to count for ``until.swims``. ``of_best``: these are the repeats of the best after a battery
-    swap. ``typed``: the command, for the event log. ``law``: of the inputs."""
+    swap. ``typed``: the command, for the event log. ``law``: of the inputs.
+    """
 
     until: Until = field(default_factory=Until)
     wanted: PreflightLimits | None = field(default_factory=PreflightLimits)
@@ -318,10 +318,10 @@ class _Series:
         pending = self.around.fish.status().pending_trial
         if pending is None:
             return None
-        words = f"trial {pending} is kept and waits to be learned from: tailbeat learn"
+        words = f"trial {pending} is kept and waits to be learned from: tailbeat trial learn"
         if self.counted == 0:
             raise InputError(
-                words.rpartition(":")[0], "tailbeat learn, or go on without --no-learn"
+                words.rpartition(":")[0], "tailbeat trial learn, or go on without --no-learn"
             )
         return self.end("swims", words)
 
@@ -365,7 +365,7 @@ class _Series:
         the room is looked at."""
         fish, wanted, operator = around.fish, self.options.wanted, around.operator
         if self.chosen is None and not self.options.of_best:
-            self._choose(self.law.begin)
+            self._choose(self.law.begin())
         ready, book = None, library_of(fish)
         if wanted is None:
             travel_next(fish, book).require_room()
@@ -432,26 +432,18 @@ class _Series:
         self.rounds.append(Round(recorded, decision, done.learned))
         self.counted += counts and decision.kind in self.options.counts
         if (learned := done.learned) is not None:
-            around = self.around
-            self._choose(lambda: self.law.after(learned))
-            self.verdict = assess_series(
-                around.fish, around.operator, self.log, learned.rolled_back
-            )
+            self._choose(self.law.after(learned))
+            operator, rolled_back = self.around.operator, learned.rolled_back
+            self.verdict = assess_series(self.around.fish, operator, self.log, rolled_back)
         if not done.left:
             return None
         critical = self.around.fish.status().fault.number == BATTERY_CRITICAL
         then = RESUME_COMMAND if critical else "tailbeat board clear"
         return self.end("stopped", f"{done.left} Then: {then}")
 
-    def _choose(self, choose: Callable[[], InputChosen]) -> None:
-        """What makes the next input; where the model has no answer the board's own step stands."""
-        try:
-            self.chosen = choose()
-        except InputError as error:
-            self.chosen = InputChosen("p", str(error))
-        self.around.operator.tell(self.chosen)
-        self.log.chosen(self.chosen, self.around.fish.status().next_trial)
-        copy_state(self.around.fish, self.log.experiment)
+    def _choose(self, chosen: InputChosen) -> None:
+        self.chosen = chosen
+        self.around.operator.tell(chosen)
 
     def _notice(self, text: str) -> None:
         self.around.operator.tell(Notice(text))

@@ -244,7 +244,7 @@ def _state(fish: Fish, new: Reference) -> _State:
     if swims_it and not _is_fresh(learned):
         raise InputError(
             f"the board has learned along {new.name} already (iteration {status.iteration}).",
-            "Swim on with that; its best swims again by: tailbeat learn --restore-best.",
+            "Swim on with that; its best swims again by: tailbeat trial learn --restore-best.",
         )
     return _State(reference, learned, swims_it)
 

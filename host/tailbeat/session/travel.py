@@ -73,7 +73,7 @@ def travel_model_of(
     else:
         prior = prior_of(dict(params))
         known = prior.model, prior.covariance, Scatter()
-        by = "the board's MDL_... parameters"
+        by = "the board's model"
     before = TravelModel(*known, by)
     if last is None:
         return before

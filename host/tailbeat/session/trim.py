@@ -48,7 +48,7 @@ _SLOWER = 0.9
 _MARGIN_M = 0.15  # of the tank's length, left free
 _ALIKE_SIGMAS = 5.0  # two turns that differ by less tell no centre
 _FAR_RAD = 0.35  # a tail mounted further askew is no matter of trim
-_STRAIGHT_RAD = 0.14  # 8 degrees: a hundredth of the speed
+_ASKEW_RAD, _HEADING_SIGMA_RAD = 0.5, 0.035  # a speed along the tank tells of less askew a fish
 _BEATS_MIN = 8  # swum of both, to tell anything
 _NOTHING = "Nothing was changed; tailbeat session trim"
 _REST_S, _PATIENCE_S, _LOOK_S = 20.0, 90.0, 0.2  # of board time
@@ -190,8 +190,8 @@ def find_centre(
 ) -> Trim:
     """Swims twice, the tail centred a little to either side of what is set, and puts back what the
     board had learned, its reference and its centre. ``limits``: of the preflight checks before each
-    trial; None = only the operator is asked. ``on_trial``: gets what the trials say of the fish's
-    speed, as far as it swam straight. Sets nothing: see apply.
+    trial; None = only the operator is asked. ``on_trial``: gets the fish's own speed in the
+    trials. Sets nothing: see apply.
 
     Raises InputError when the turns do not tell a centre (none was felt, the two are alike, or the
     centre would lie beyond the servo's range), GivenUp when the operator wants no more."""
@@ -213,7 +213,7 @@ def find_centre(
         ]
         one, two, source = _courses(logs, planned)
         for log, course in zip(logs, (one, two), strict=True):
-            on_trial(_straight_part(log.trial, course))
+            on_trial(_own_speed(log.trial, course))
         low, high = _turned(logs[0], one, source), _turned(logs[1], two, source)
         return centre_of((low, high), was_us, source, board.params)
 
@@ -269,13 +269,14 @@ class _TrimRunner:
         return _Log(centre_us, trial, _since_begin(fish, self.camera, seen.frames, trial))
 
     def _ask(self, number: int, centre_us: float, planned: TrimPlan) -> None:
+        side = "left" if centre_us < self.board.params[CENTRE] else "right"
         text = (
-            f"swim {number} of 2, the tail's centre at {centre_us:.0f} us: "
+            f"run {number} of 2, the tail's centre a little to the {side} ({centre_us:.0f} us): "
             f"{len(planned.amplitude_rad)} beats, up to {planned.amplitude_rad.max():.2f} rad; "
             f"{planned.travel.text()}"
         )
         self.operator.tell(StepProgress(f"trim {number}", text, ok=True))
-        if not self.operator.confirm("Is the fish at its start, free on both sides? Swim?"):
+        if not self.operator.confirm("Is the fish at rest at its start, free on both sides?"):
             raise GivenUp("the trim was not wanted", _NOTHING)
         if self.limits is not None:
             prepare(self.board.fish, self.limits, self.camera, self.operator, planned.travel)
@@ -318,14 +319,15 @@ def _reference(planned: TrimPlan) -> F64:
     return planned.predicted_m_s[: len(planned.amplitude_rad)]
 
 
-def _straight_part(trial: Trial, course: HeadingTrace) -> TrialSpeeds:
-    """Without the beats in which it swam askew: their speed along the tank is not its own."""
+def _own_speed(trial: Trial, course: HeadingTrace) -> TrialSpeeds:
+    """Along its heading, where the speed along the tank still tells it."""
     speeds = trial_speeds(trial)
     heading = np.full(speeds.beats, np.nan)
     heading[: len(course.heading_rad)] = course.heading_rad[: speeds.beats]
     with np.errstate(invalid="ignore"):
-        is_straight = np.abs(heading) < _STRAIGHT_RAD
-    return replace(speeds, speed_m_s=np.where(is_straight, speeds.speed_m_s, np.nan))
+        own = np.where(np.abs(heading) < _ASKEW_RAD, speeds.speed_m_s / np.cos(heading), np.nan)
+    by_heading = np.nan_to_num(own * np.tan(heading)) * _HEADING_SIGMA_RAD
+    return replace(speeds, speed_m_s=own, sigma_m_s=np.hypot(speeds.sigma_m_s, by_heading))
 
 
 def _since_begin(

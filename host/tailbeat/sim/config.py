@@ -9,7 +9,7 @@ from typing import Any
 from msgspec.structs import asdict
 
 from tailbeat.core.decode import StrictTable, decode
-from tailbeat.core.errors import InputError
+from tailbeat.core.errors import InputError, did_you_mean
 from tailbeat.core.native import ffi, lib
 from tailbeat.link.sockets import TcpTransport
 from tailbeat.link.transport import Transport
@@ -32,7 +32,10 @@ def board_number(seed: float | None) -> int:
 def make_config(plant: str, seed: float, overrides: dict[str, float]) -> Any:
     """A sim_config_t. Raises InputError for names there are none of."""
     if plant not in PLANTS:
-        raise InputError(f"there is no plant {plant}", f"Use one of: {', '.join(PLANTS)}.")
+        raise InputError(
+            f"there is no plant {plant}",
+            f"{did_you_mean(plant, PLANTS)}Use one of: {', '.join(PLANTS)}.",
+        )
     if not 0 <= seed < 1 << 64 or seed != int(seed):
         raise InputError(f"{seed} is no seed", "Give a whole number from 0 to 2^64 - 1.")
     config = ffi.new("sim_config_t *")
@@ -63,7 +66,10 @@ def config_field(name: str) -> str:
     fields = [f for f in config_fields() if f not in ("seed", "plant")]
     matches = [f for f in fields if f == name] or [f for f in fields if f.startswith(name + "_")]
     if len(matches) != 1:
-        raise InputError(f"the simulator has no value {name}", f"It has: {', '.join(fields)}.")
+        raise InputError(
+            f"the simulator has no value {name}",
+            f"{did_you_mean(name, fields)}It has: {', '.join(fields)}.",
+        )
     return matches[0]
 
 

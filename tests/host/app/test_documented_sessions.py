@@ -176,8 +176,8 @@ def test_with_too_low_a_limit_the_session_says_so_and_how_to_go_on(terminal: Ter
             terminal.says(*words)
     terminal.says("tailbeat", "progress")
     assert "ended (saturated): " in terminal.out
-    assert re.search(r"\d\d of 40 beats at the limit 0\.50 rad; the reference needs about 0\.6\d",
-                     terminal.out)  # fmt: skip
+    words = r"\d\d of 40 beats at the limit 0\.50 rad; the reference needs about 0\.[67]\d"
+    assert re.search(words, terminal.out)
     for line in terminal.out.splitlines():
         assert "converged" not in line or "saturated" in line, line
         assert "ILC_DECR_RATE" not in line, line

@@ -83,7 +83,7 @@ def test_what_is_wrong_and_where(change: dict[str, Any], problem: str) -> None:
 @pytest.mark.parametrize(
     ("document", "place", "known"),
     [
-        ({"lwa": []}, "x: unknown key lwa", "Known are law, best."),
+        ({"lwa": []}, "x: unknown key lwa", "Did you mean law? Known are law, best."),
         ({"law": [{"name": "p", "g": 1}]}, "x: law[0]: unknown key g", "Known are name, gain"),
         ({"best": {"name": "p", "g": 1}}, "x: best: unknown key g", "Known are name, gain"),
     ],

@@ -157,7 +157,7 @@ def test_the_search_for_commands_finds_wrong_ones() -> None:
     assert known_command("tailbeat board imu") and known_command("tailbeat board imu save")
     assert known_command("tailbeat sim") and not known_command("tailbeat board")
     assert not known_command("tailbeat " + "imu") and not known_command("tailbeat " + "doctor")
-    assert known_command("tailbeat learn")
+    assert known_command("tailbeat trial learn")
     assert not known_command("tailbeat trail list")
     assert not known_command("tailbeat trial lust")
     assert not known_command("tailbeat trial")

@@ -259,7 +259,7 @@ def test_the_reasons_to_stop_and_what_to_do() -> None:
     settled = assess(scored(30, 12, 12.5, 11.8, 12.4))
     assert settled.stop_reason == "the last 3 trials brought no progress beyond noise"
     assert settled.advice.startswith(
-        "repeat the best twice to be sure: tailbeat learn --restore-best, trial run, "
+        "repeat the best twice to be sure: tailbeat trial learn --restore-best, trial run, "
         "trial discard --repeat"
     )
     fallen = assess(scored(30, 12, 12.5, 11.8, 22))

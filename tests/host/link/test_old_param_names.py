@@ -83,7 +83,7 @@ def test_a_name_that_it_does_not_have_is_asked_for_once(fish: Fish, older: Older
 def test_an_old_name_is_the_present_parameter(fish: Fish) -> None:
     assert fish.params.set("LAW_GAIN", 5.0).name == "ILC_GAIN"
     assert fish.params.get("LAW_GAIN").value == 5.0
-    with pytest.raises(Refused, match=r"no parameter 'LAW_GIAN'. Did you mean ILC_GAIN "):
+    with pytest.raises(Refused, match=r"no parameter 'LAW_GIAN'. Did you mean ILC_GAIN\?"):
         fish.params.get("LAW_GIAN")
 
 

@@ -539,7 +539,7 @@ def bits(values: Floats) -> bytes:
     "name", ["abort at any beat", "frozen position, 10 s", "reset at any beat", "camera lost, all"]
 )
 def test_the_best_comes_back_bit_for_bit(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By ``tailbeat learn --restore-best``, and after a reboot."""
+    """By ``tailbeat trial learn --restore-best``, and after a reboot."""
     _, images = clean(1, THESIS)
     session = Session(1, THESIS)
     session.resume(images[7], 7)

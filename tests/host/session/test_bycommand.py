@@ -131,7 +131,7 @@ def test_a_swim_along_another_reference_is_none_of_the_experiments(
 
 def test_what_is_written_nowhere_is_told(fish: Fish, experiment: Experiment) -> None:
     fish.upload_reference(Reference(1.0, HILL.speed_m_s[::-1].copy(), "other"))
-    for words in (("learn",), ("trial", "discard")):
+    for words in (("trial", "learn"), ("trial", "discard")):
         trials(fish)
         told = types(*words).stderr
         assert f"not written into {experiment.name}, which is of another reference" in told
@@ -174,7 +174,7 @@ class _FullDisk:
         monkeypatch.setattr(append, limited)
 
 
-@pytest.mark.parametrize("words", [("trial", "discard", "--reason", "a wave"), ("learn",)])
+@pytest.mark.parametrize("words", [("trial", "discard", "--reason", "a wave"), ("trial", "learn")])
 def test_a_stopped_board_is_told_before_anything_is_written(
     fish: Fish, experiment: Experiment, words: tuple[str, ...]
 ) -> None:
@@ -193,11 +193,11 @@ def test_a_stopped_board_is_told_before_anything_is_written(
     assert types(*words).exit_code == 0
     assert fish.status().pending_trial is None
     assert experiment.journal.decisions()[number]["decision"] == (
-        "keep" if words == ("learn",) else "discard"
+        "keep" if words == ("trial", "learn") else "discard"
     )
 
 
-@pytest.mark.parametrize("words", [("trial", "discard", "--reason", "a wave"), ("learn",)])
+@pytest.mark.parametrize("words", [("trial", "discard", "--reason", "a wave"), ("trial", "learn")])
 def test_what_the_board_refuses_is_withdrawn(
     fish: Fish, experiment: Experiment, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:

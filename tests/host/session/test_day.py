@@ -35,7 +35,7 @@ def day(
 ) -> Iterator[Day]:
     kind = SimBoard if request.param == "sim" else EmulatedBoard
     args: tuple[object, ...] = ("tank",) if request.param == "sim" else (None, "tank")
-    board = kind(*args, seed=4, tail_centre_rad=CENTRE_RAD, battery_sag_v_per_trial=0.02)
+    board = kind(*args, seed=7, tail_centre_rad=CENTRE_RAD, battery_sag_v_per_trial=0.02)
     tank = Tank(board)
     monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: tank)
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
@@ -144,7 +144,8 @@ def what_the_folder_says(folder: Path) -> None:
         ("discard", "stopped by hand"), ("discard", "bumped the wall"), ("repeat", "battery swap"),
     ]  # fmt: skip
     repeat = next(row for row in rows if row["decision"] == "repeat")
-    assert (repeat["repeat_of"], repeat["iteration"]) == (rows[1]["trial"], rows[1]["iteration"])
+    best = min(rows[:2], key=lambda row: row["max_abs_error_m_s"])
+    assert (repeat["repeat_of"], repeat["iteration"]) == (best["trial"], best["iteration"])
     assert analysis["conditions"] == {"water_depth_m": 0.5, "water_temperature_degc": 21.5}
     assert "a new tail fin" in (folder / "notes.md").read_text()
     assert "Simulated" in (folder / "report" / "captions.txt").read_text()

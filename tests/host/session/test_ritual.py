@@ -530,7 +530,7 @@ def test_a_stopped_board_says_why_and_what_to_do(ready: Fish) -> None:
         prepare(ready, PreflightLimits(), None, Script())
     ready.clear()
     with pytest.raises(
-        NotReady, match=r"neither learned nor discarded \(trial 1\).*tailbeat learn"
+        NotReady, match=r"neither learned nor discarded \(trial 1\).*tailbeat trial learn"
     ):
         prepare(ready, PreflightLimits(), None, Script())
 

@@ -188,7 +188,7 @@ def test_a_kept_swim_is_in_the_raw_files_the_journal_the_library_and_learned(
     end = trial(operator)
     assert end.why == "swims" and end.records[0].outcome.end == "complete"
     assert [path.name for path in experiment.trial_files()] == ["0001.ulg"]
-    assert kinds(experiment)[-4:] == ["begun", "swum", "decided", "learned"]
+    assert kinds(experiment)[-5:] == ["begun", "swum", "decided", "learned", "input"]
     assert fish.status().last_learned_trial == 1 and fish.status().pending_trial is None
     assert len(TrialLibrary.of(fish.unique_id()).kept()[0]) == 1
     assert end.verdict is not None and end.verdict.kind == "first"

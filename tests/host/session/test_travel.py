@@ -162,7 +162,7 @@ def test_a_damaged_identification_is_none(tank: Fish, tmp_path: Path) -> None:
 
 def test_an_unknown_fish_is_not_refused_what_is_expected_to_fit(tank: Fish) -> None:
     found = travel_next(tank, None)
-    assert "MDL_" in found.by
+    assert found.by == "the board's model"
     tank.params.set("ILC_GAIN", 7)
     found = travel_next(tank, None)
     assert found.worst_m > ROOM_M > found.expected_m

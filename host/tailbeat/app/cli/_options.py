@@ -58,6 +58,7 @@ Rest = Annotated[
     opt("Rest since the last trial; default: 30.", "S", by=_with_rest, min=0.0, max=3600.0),
 ]
 Root = Annotated[Path, opt("Folder that holds the experiments.")]
+Yes = Annotated[bool, opt("Answer every question with yes.", name="--yes")]
 EXPERIMENTS = Path("experiments")
 
 _KINDS = ("thesis", "thesis:", "trapezoid:", "cosine:")

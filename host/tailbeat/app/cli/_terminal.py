@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
+import shutil
 import signal
 import sys
+import textwrap
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -103,8 +106,33 @@ def warn(text: object) -> None:
 
 def echo(text: str, err: bool = False, nl: bool = True) -> None:
     """Prints lines for people. Whatever a board, a file or a note brought into the text cannot
-    steer the terminal."""
-    typer.echo(printable_lines(text), err=err, nl=nl)
+    steer the terminal. At a terminal long lines break between words; tables stay."""
+    text = printable_lines(text)
+    if (sys.stderr if err else sys.stdout).isatty():
+        text = wrapped(text, shutil.get_terminal_size().columns)
+    typer.echo(text, err=err, nl=nl)
+
+
+_COLUMNS = re.compile(r"\S {2,}\S")  # of a table; what stands before a text is shorter than _MARGIN
+_MARGIN = 8
+
+
+def wrapped(text: str, width: int) -> str:
+    """Lines of at most ``width`` columns, what goes on indented by four; a table's stay."""
+    lines: list[str] = []
+    for line in text.split("\n"):
+        if len(line) <= width or _COLUMNS.search(line, _MARGIN):
+            lines.append(line)
+            continue
+        indent = " " * (4 + len(line) - len(line.lstrip()))
+        parts = textwrap.wrap(
+            line, max(width, 20), subsequent_indent=indent, break_long_words=False,
+            break_on_hyphens=False, drop_whitespace=True,
+        )  # fmt: skip
+        lines += parts
+        if line.endswith(" "):  # of a question, whose answer is typed behind it
+            lines[-1] += " "
+    return "\n".join(lines)
 
 
 def json_line(document: Any) -> None:

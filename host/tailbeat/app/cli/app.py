@@ -60,8 +60,9 @@ COMMANDS = {
     ),
     "board imu record": Entry("Write the IMU's raw frames to a CSV file"),
     "board imu decode": Entry("Decode a VN-100's recording, or listen to one", was="vn100"),
+    "start": Entry("Lead from a connected fish to a report, step by step", RUN, module="start"),
     "session commission": Entry(
-        "Check, trim, identify and design for a new fish", SET_UP, was="session first"
+        "Check, trim and measure a new fish, design its law", SET_UP, was="session first"
     ),
     "session trim": Entry("Find the servo's centre in two short trials", SET_UP, was="trim"),
     "session identify": Entry(
@@ -88,8 +89,8 @@ COMMANDS = {
     "trial pull": Entry("Copy logs from the board"),
     "trial show": Entry("Print a trial"),
     "trial speeds": Entry("Upload speeds measured after the trial", was="speed upload"),
+    "trial learn": Entry("Let the board learn from the pending trial", module="learn", was="learn"),
     "trial discard": Entry("Drop the pending trial without learning"),
-    "learn": Entry("Let the board learn from the pending trial", RUN, module="learn"),
     "stop": Entry("Stop the tail now", RUN, module="trial", was="trial abort"),
     "experiment new": Entry("Make the folder of a new series"),
     "experiment use": Entry("Continue an experiment"),
@@ -191,8 +192,21 @@ def _root(
     del version
 
 
+_BEFORE = {"--connect": 2, "--json": 1}  # accepted before the command, too; so many words each
+
+
+def _ordered(words: list[str]) -> list[str]:
+    """With options that were typed before the command behind it."""
+    moved: list[str] = []
+    while words and (count := _BEFORE.get(words[0].partition("=")[0])):
+        count = 1 if "=" in words[0] else count
+        moved, words = [*moved, *words[:count]], words[count:]
+    return [*words, *moved] if words else moved
+
+
 def run_command(words: list[str]) -> int:
     """Runs it; every error of every command is printed here."""
+    words = _ordered(words)
     typed_words.set(tuple(words))
     json_asked.set("--json" in words)  # until the options are known
     try:

@@ -65,7 +65,7 @@ def learn(
     without a pending trial it is planned from what is known. In an experiment the log, the decision
     and what was learned are kept.
 
-    Example: tailbeat learn --law model
+    Example: tailbeat trial learn --law model
     """
     if restore_best and (dry_run or law == "model"):
         other = "--dry-run" if dry_run else "--law model"
@@ -89,7 +89,7 @@ def _restore_best(fish: Fish) -> Output:
 
 
 def _learn(fish: Fish, number: int | None) -> Output:
-    report = learn_and_log(fish, number, "learn" + ("" if number is None else f" {number}"))
+    report = learn_and_log(fish, number, "trial learn" + ("" if number is None else f" {number}"))
     held, visits = fish.amplitudes(), fish.visits()
     if line := not_logged_text(fish):
         warn(line)
@@ -128,7 +128,7 @@ def learn_with_model(
     step = next_step(setting, Beliefs(identified), trials)
     if dry_run:
         return _output(step, pending, None, None, None)
-    report = None if pending is None else learn_and_log(fish, pending, "learn --law model")
+    report = None if pending is None else learn_and_log(fish, pending, "trial learn --law model")
     restored = report.rolled_back if report else fish.amplitudes().input == INPUT_RESTORED
     following = choose_next_input(step.proposal, restored, fish.status().best_max_abs_error_m_s)
     if following.upload:

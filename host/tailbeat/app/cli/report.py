@@ -195,7 +195,7 @@ def _conclusion(found: Progress, applied: dict[str, float] | None) -> str:
             f" gain, ILC_DECR_RATE {fade.fade:g}, ILC_DECR_FROM {fade.fade_from}"
             f" ({'set' if applied else 'set it with --apply'})"
         )
-    go_on = "go on: tailbeat trial run, tailbeat learn"
+    go_on = "go on: tailbeat trial run, tailbeat trial learn"
     return lines_of(best, verdict_lines(verdict) or go_on, fluctuates)
 
 

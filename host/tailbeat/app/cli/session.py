@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
@@ -20,6 +20,7 @@ from tailbeat.app.cli._options import (
     Plot,
     ReferenceName,
     Rest,
+    Yes,
     connected,
     experiment_of,
     in_no_experiment,
@@ -179,9 +180,6 @@ def _proved(found: Design) -> str:
     )
 
 
-Yes = Annotated[bool, opt("Answer every question with yes.", name="--yes")]
-
-
 def commission(
     *,
     reference: Reference = opt(
@@ -205,12 +203,11 @@ def commission(
     """
     camera.check()
     with connected(connect) as fish, live_camera(fish, camera) as live, terminal() as there:
-        display = there[0]
-        operator = _operator(*there, yes)
+        operator = _operator(*there, yes and fish.info().simulated)
         steps = []
         limits = rest or PreflightLimits()
         for step in commission_fish(fish, reference, operator, live.camera, live.guard, limits):
-            display.keep(f"{'ok' if step.done else '--'}  {step.name}: {step.words}")
+            operator.tell(step)
             steps.append(step)
         held = fish.params.values("AMP_MAX_RAD", "DU_MAX_RAD")
     well = steps[-1].done

@@ -43,7 +43,7 @@ from tailbeat.session.series import Options, Round, SeriesEnd, Until, run_series
 from tailbeat.session.travel import guarded_trial, travel_next
 from tailbeat.session.trial import run_trial
 
-_GOOD_ENDS = ("swims", "converged", "saturated")
+GOOD_ENDS = ("swims", "converged", "saturated")
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def _outcome_text(outcome: TrialOutcome) -> str:
     worst = f"max|e| {mm(max(errors))} mm/s" if errors else "no speeds measured"
     unmeasured = outcome.executed_beats - len(errors)
     missing = f" ({unmeasured} without a speed)" if errors and unmeasured > 0 else ""
-    learn = ", then tailbeat learn (the measured beats count) or tailbeat trial discard"
+    learn = ", then tailbeat trial learn (the measured beats count) or tailbeat trial discard"
     return lines_of(
         f"trial {outcome.number}, iteration {outcome.iteration}: {outcome.end}, "
         f"{outcome.executed_beats} beats{missing}, {worst}",
@@ -208,19 +208,23 @@ def _run_guided(fish: Fish, live: LiveCamera, given: GuideOptions) -> Output:
     """Runs the series. Exit status 0 when it ended as was asked for."""
     options = given.options()
     with terminal() as (display, keys):
-        experiment = _experiment_for(fish, given.into, lambda text: display.keep(text, loud=True))
-        idle = partial(_keep_alive, fish)
+        experiment = experiment_for(fish, given.into, lambda text: display.keep(text, loud=True))
+        idle = partial(keep_alive, fish)
         operator = TerminalOperator(display, keys, given.answer(), idle, on_event=live.follow)
         end = run_series(fish, experiment, operator, options, live.camera, live.guard)
     until = options.until
-    good = (*_GOOD_ENDS, "battery") if until.trials is None and not until.converged else _GOOD_ENDS
+    good = (*GOOD_ENDS, "battery") if until.trials is None and not until.converged else GOOD_ENDS
     status = 0 if end.why in good else 130 if end.why == "interrupted" else 1
     if status:
         warn(end.words)
-    return Output(_document(end, experiment), _text(end, good=not status), status)
+    return Output(
+        series_document(end) | {"experiment": experiment.folder},
+        _text(end, good=not status),
+        status,
+    )
 
 
-def _experiment_for(fish: Fish, into: Experiment | None, tell: Callable[[str], None]) -> Experiment:
+def experiment_for(fish: Fish, into: Experiment | None, tell: Callable[[str], None]) -> Experiment:
     """The folder that was named, else the one this fish is in, else a new one. Raises
     InputError."""
     require_own(fish)
@@ -241,17 +245,17 @@ def _experiment_for(fish: Fish, into: Experiment | None, tell: Callable[[str], N
     return made
 
 
-def _keep_alive(fish: Fish) -> None:
+def keep_alive(fish: Fish) -> None:
     """While a question waits: heartbeats go out, what comes in is taken."""
     with contextlib.suppress(TailbeatError):
         fish.link.flush()
 
 
-def _document(end: SeriesEnd, experiment: Experiment) -> dict[str, Any]:
+def series_document(end: SeriesEnd) -> dict[str, Any]:
+    """How a series ended, for ``--json``."""
     return {
         "why": end.why,
         "words": end.words,
-        "experiment": experiment.folder,
         "swims": [_trial_document(one) for one in end.rounds],
         "verdict": end.verdict,
     }

@@ -68,7 +68,7 @@ def require_quiet(fish: Fish, wipes: bool) -> None:
         raise InputError(
             f"trial {status.pending_trial} was executed but not learned from, and that cannot be"
             " put back onto the board",
-            "Finish it first: tailbeat learn, or tailbeat trial discard",
+            "Finish it first: tailbeat trial learn, or tailbeat trial discard",
         )
 
 

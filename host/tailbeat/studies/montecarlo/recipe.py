@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.decode import StrictTable, decode
-from tailbeat.core.errors import InputError, reason
+from tailbeat.core.errors import InputError, did_you_mean, reason
 from tailbeat.core.law import PAST_KINDS
 from tailbeat.core.native import lib
 from tailbeat.core.reference import from_text
@@ -244,7 +244,8 @@ def load(text: str) -> Recipe:
     source, name = known.get(text) or Path(text), Path(text).stem
     if not source.is_file():
         raise InputError(
-            f"there is no recipe '{text}'.", f"Known are {', '.join(known)}, or give a file."
+            f"there is no recipe '{text}'.",
+            f"{did_you_mean(text, known)}Known are {', '.join(known)}, or give a file.",
         )
     try:
         return parse(source.read_text(encoding="utf-8"), text if text in known else name)

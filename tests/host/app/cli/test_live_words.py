@@ -87,10 +87,9 @@ def test_a_key_press_that_stops_says_it_once(capsys: pytest.CaptureFixture[str])
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "tailbeat: stopped by hand"
     assert lines[1] == (
-        "trial 7, iteration 2: aborted:ABORT_COMMAND (stopped by hand), 5 beats, 3 of 5 beats"
-        " measured"
+        "trial 7: aborted:ABORT_COMMAND (stopped by hand), 5 beats, 3 of 5 beats measured"
     )
-    assert lines[2].startswith("  max|e| ") and lines[3:] == ["  ! not straight"]
+    assert lines[2].startswith("  largest error max|e| ") and lines[3:] == ["  ! not straight"]
 
 
 def test_an_abort_from_elsewhere_is_told(capsys: pytest.CaptureFixture[str]) -> None:

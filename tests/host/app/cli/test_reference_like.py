@@ -217,7 +217,7 @@ def test_a_pending_trial_comes_first(learned: Fish, shell: Shell) -> None:
     learned.arm()
     assert "not IDLE" in shell.fails(SLOWER, "--warm-start", "board")
     run_trial(learned)
-    assert "tailbeat learn, or tailbeat trial discard" in shell.fails(
+    assert "tailbeat trial learn, or tailbeat trial discard" in shell.fails(
         SLOWER, "--warm-start", "board"
     )
 

@@ -1,4 +1,4 @@
-"""The first session with a fish nobody knows: rules for the limits, and the steps on a board."""
+"""Commissioning a fish that nobody knows: rules for the limit, the runs, the steps on a board."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ from typer.testing import CliRunner
 from tailbeat.app.cli.app import app
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
+from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.experiment.current import begin
 from tailbeat.experiment.folder import copy_state
 from tailbeat.learning import fit
-from tailbeat.learning.fish_model import FishModel
+from tailbeat.learning.fish_model import FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import needed_rad, servo_rad
 from tailbeat.link.params import known_parameters
-from tailbeat.session import commission, commission_steps
 from tailbeat.session.commission import CommissionStep, commission_fish
-from tailbeat.session.commission_steps import INCREASE_MAX_RAD, LimitIncrease, next_limit_increase
 from tailbeat.session.events import Countdown, Event, StepProgress, TrialStarted
+from tailbeat.session.limit import LimitIncrease, limit_offer, tried_rad
 from tailbeat.session.log import Drain
+from tailbeat.session.measure import RUNS_MAX, measure_fish, rise
 from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.status import fall_per_swim, status_of, swims_left, words
 from tailbeat.session.trial import run_trial
@@ -41,9 +42,12 @@ CROOKED = HeadingDrift(0.1, 0.3, 0.2, "imu")
 TANK = FishModel(10.0, 0.212, 0.203, 0.32)
 
 
-def known(model: FishModel = TANK, *others: FishModel) -> Identified:
+def known(model: FishModel = TANK, *others: FishModel, tried: float = 0.8) -> Identified:
+    """Measured up to ``tried`` rad."""
     known = np.diag([0.01, 1e-4, 1e-4, 1e-3, 1e-3, 1e-7, 1e-4, 1e-2])
-    return Identified(model, [model, *others], known, source="runs")
+    amplitude = rise(tried, 8)
+    runs = [TrialSpeeds(amplitude, model.beats(amplitude, 1.0), np.full(len(amplitude), 1e-3))]
+    return Identified(model, [model, *others], known, source="runs", trials=runs)
 
 
 class Somebody:
@@ -80,34 +84,37 @@ def stays(said: LimitIncrease | str) -> str:
     return said
 
 
-def test_in_small_steps_up_to_what_the_reference_needs() -> None:
-    params, steps = dict(DEFAULTS), []
-    while isinstance(
-        found := next_limit_increase(params, THESIS, known(), STRAIGHT), LimitIncrease
-    ):
-        assert found.name == "AMP_MAX_RAD" and found.was == params["AMP_MAX_RAD"]
-        assert 0 < found.to - found.was <= INCREASE_MAX_RAD + 1e-9
-        steps.append(found.to)
-        params["AMP_MAX_RAD"] = float(np.float32(found.to))
+def test_as_much_as_the_reference_needs() -> None:
+    found = limit_offer(DEFAULTS, THESIS, known(), STRAIGHT)
+    assert isinstance(found, LimitIncrease) and found.name == "AMP_MAX_RAD"
     need = needed_rad(known(), THESIS)
-    assert steps == [pytest.approx(0.6), pytest.approx(need, abs=0.0101)]
-    assert need - 1e-6 <= params["AMP_MAX_RAD"] + 0.006
-    assert "enough" in stays(found)
+    assert found.was == 0.5 and found.to == pytest.approx(need, abs=0.0101) and found.to >= need
+    raised = DEFAULTS | {"AMP_MAX_RAD": float(np.float32(found.to))}
+    assert "enough" in stays(limit_offer(raised, THESIS, known(), STRAIGHT))
 
 
 def test_the_reason_has_its_figures() -> None:
-    found = next_limit_increase(DEFAULTS, THESIS, known(), STRAIGHT)
+    found = limit_offer(DEFAULTS, THESIS, known(), STRAIGHT)
     assert isinstance(found, LimitIncrease)
-    assert f"{TANK.amplitude_rad(0.0791):.2f} rad hold the 79 mm/s" in found.reason
-    assert "at most 0.1 at once" in found.reason and "DU_MAX_RAD stays 0.15" in found.reason
+    assert f"{TANK.amplitude_rad(0.0791):.2f} hold the 79 mm/s" in found.reason
+    assert "a run went to 0.80 without a fault" in found.reason
     assert "of 2.64 m" in found.reason
+
+
+def test_no_more_than_a_run_has_shown() -> None:
+    found = limit_offer(DEFAULTS, THESIS, known(tried=0.56), STRAIGHT)
+    assert isinstance(found, LimitIncrease) and found.to == pytest.approx(0.56)
+    gentle = limit_offer(DEFAULTS, THESIS, known(tried=0.5), STRAIGHT)
+    assert "no run of the fish went beyond 0.50 rad" in stays(gentle)
+    untried = limit_offer(DEFAULTS, THESIS, replace(known(), trials=[]), STRAIGHT)
+    assert "tailbeat session commission" in stays(untried)
 
 
 def test_a_weaker_model_asks_for_more() -> None:
     weak = replace(TANK, slope_m_s_rad=0.19)
     assert needed_rad(known(TANK, weak), THESIS) > needed_rad(known(), THESIS) + 0.02
     slow = reference.thesis(0.04, 40.0)
-    assert "enough" in stays(next_limit_increase(DEFAULTS, slow, known(), STRAIGHT))
+    assert "enough" in stays(limit_offer(DEFAULTS, slow, known(), STRAIGHT))
 
 
 def test_a_sluggish_fish_needs_more_than_its_top_speed() -> None:
@@ -119,7 +126,7 @@ def test_a_sluggish_fish_needs_more_than_its_top_speed() -> None:
 @pytest.mark.parametrize(
     ("given", "why"),
     [
-        ((None, STRAIGHT, False), "tailbeat session identify"),
+        ((None, STRAIGHT, False), "tailbeat session commission"),
         ((known(), None, False), "nothing tells whether it swims straight"),
         ((known(), CROOKED, False), "tailbeat session trim"),
         ((known(), STRAIGHT, True), "rolled back"),
@@ -127,19 +134,16 @@ def test_a_sluggish_fish_needs_more_than_its_top_speed() -> None:
 )
 def test_why_not(given: tuple[Any, Any, bool], why: str) -> None:
     identified, straight, rolled_back = given
-    assert why in stays(next_limit_increase(DEFAULTS, THESIS, identified, straight, rolled_back))
+    assert why in stays(limit_offer(DEFAULTS, THESIS, identified, straight, rolled_back))
 
 
 def test_the_servo_ends_it() -> None:
     near = DEFAULTS | {"SERVO_MAX_US": 1500 + 0.55 * DEFAULTS["SERVO_US_RAD"]}
     assert servo_rad(near) == pytest.approx(0.55)
-    found = next_limit_increase(near, THESIS, known(), STRAIGHT)
+    found = limit_offer(near, THESIS, known(), STRAIGHT)
     assert isinstance(found, LimitIncrease) and found.to == pytest.approx(0.55)
-    assert "the servo turns no farther" in found.reason
     there = near | {"AMP_MAX_RAD": 0.55}
-    assert "the servo turns 0.55 rad" in stays(
-        next_limit_increase(there, THESIS, known(), STRAIGHT)
-    )
+    assert "the servo turns 0.55 rad" in stays(limit_offer(there, THESIS, known(), STRAIGHT))
     askew = DEFAULTS | {"SERVO_CENTRE_US": 1200.0}
     assert servo_rad(askew) == pytest.approx(300 / DEFAULTS["SERVO_US_RAD"])
     assert servo_rad(DEFAULTS) == pytest.approx(math.pi / 3)
@@ -147,43 +151,58 @@ def test_the_servo_ends_it() -> None:
 
 def test_the_tank_ends_it() -> None:
     short = DEFAULTS | {"TANK_LEN_M": 2.3}
-    assert "no room for more" in stays(next_limit_increase(short, THESIS, known(), STRAIGHT))
+    assert "no room for more" in stays(limit_offer(short, THESIS, known(), STRAIGHT))
     unchecked = DEFAULTS | {"TANK_LEN_M": 0.0}
-    assert isinstance(next_limit_increase(unchecked, THESIS, known(), STRAIGHT), LimitIncrease)
+    assert isinstance(limit_offer(unchecked, THESIS, known(), STRAIGHT), LimitIncrease)
 
 
-# The proving swim
+# The runs
 
 
-def test_a_profile_that_fits_or_none() -> None:
-    params = DEFAULTS | {"AMP_MAX_RAD": 0.7}
-    long = commission_steps.profile(0.7, known(), params)
-    short = commission_steps.profile(0.7, known(), params | {"TANK_LEN_M": 1.4})
-    assert long is not None and short is not None and len(short) < len(long)
-    assert long.max() == pytest.approx(0.7) and np.all(long[-4:] == 0)
-    assert commission_steps.profile(0.7, known(), params | {"TANK_LEN_M": 0.9}) is None
+def test_a_run_rises_and_coasts() -> None:
+    amplitude = rise(0.7, 12)
+    assert amplitude.max() == 0.7 and np.all(np.diff(amplitude[:12]) > 0)
+    assert np.all(amplitude[-6:] == 0)
 
 
-def test_proofs(fish: Fish) -> None:
-    fish.link.run(6.0)
-    before = fish.params.get("AMP_MAX_RAD").value
-    found = commission_steps.try_limit(fish, 0.6, known(), Somebody())
-    assert found.why_not == "" and "of the speed foretold" in found.words
-    assert found.straight is not None and not found.straight.crooked
-    stronger = commission_steps.try_limit(
-        fish, 0.6, known(replace(TANK, slope_m_s_rad=0.3)), Somebody()
-    )
-    assert "slower than foretold" in stronger.why_not
-    assert fish.params.get("AMP_MAX_RAD").value == before
-    assert fish.status().state == "IDLE" and fish.status().pending_trial is None
-
-
-def test_a_proof_that_turns() -> None:
-    board = SimBoard("tank", seed=1, tail_centre_rad=0.3)
+@pytest.mark.parametrize("kappa_per_m", [5.0, 20.0])
+def test_one_run_measures_a_fish(kappa_per_m: float) -> None:
+    """After what a trim tells: here nothing, so the first run stays within the limit."""
+    board = SimBoard("tank", seed=3, kappa_per_m=kappa_per_m)
     with Fish(SimTransport(board)) as fish:
-        fish.link.run(15.0)
-        found = commission_steps.try_limit(fish, 0.6, known(), Somebody())
-    assert "NOT STRAIGHT" in found.why_not
+        fish.link.run(6.0)
+        somebody = Somebody()
+        found = measure_fish(fish, THESIS, somebody)
+        assert fish.params.get("AMP_MAX_RAD").value == 0.5
+        assert fish.status().state == "IDLE" and fish.status().pending_trial is None
+    assert 2 <= found.runs <= RUNS_MAX
+    assert "0.50 rad;" in somebody.asked[0] and "beyond its limit of 0.50" in somebody.asked[1]
+    model = found.identified.model
+    assert model.kappa_per_m == pytest.approx(kappa_per_m, rel=0.35)
+    assert float(model.steady_m_s(0.55)) == pytest.approx(0.0735, rel=0.05)
+    assert tried_rad(found.identified) >= needed_rad(found.identified, THESIS) - 0.01
+    assert found.straight is not None and not found.straight.crooked
+
+
+def test_a_tank_too_short_for_any_run(fish: Fish) -> None:
+    fish.link.run(6.0)
+    fish.params.set("TANK_LEN_M", 0.6)
+    with pytest.raises(InputError, match="too short"):
+        measure_fish(fish, THESIS, Somebody())
+
+
+def test_a_run_that_fails_says_so_and_puts_the_limit_back(fish: Fish) -> None:
+    fish.link.run(6.0)
+    assert fish.sim is not None
+
+    class Unlucky(Somebody):
+        def tell(self, event: Event) -> None:
+            if isinstance(event, TrialStarted):
+                fish.sim.world.set_battery_v(5.0)  # type: ignore[union-attr]
+
+    with pytest.raises(TailbeatError, match="run 1 ended with"):
+        measure_fish(fish, THESIS, Unlucky())
+    assert fish.params.get("AMP_MAX_RAD").value == 0.5
 
 
 # The session
@@ -193,23 +212,6 @@ def test_a_proof_that_turns() -> None:
 def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     """Identified without a bootstrap, which takes seconds and is tested elsewhere."""
     monkeypatch.setattr(fit, "bootstrap", lambda *_, **__: [])
-
-
-@pytest.fixture
-def known_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Identified and trimmed by a seer."""
-
-    def identify(self: Any) -> CommissionStep:
-        self.identified, self.straight = known(), STRAIGHT
-        return CommissionStep("identify", True, "seen")
-
-    monkeypatch.setattr(commission._Session, "identify", identify)
-    monkeypatch.setattr(
-        commission._Session, "trim", lambda self: CommissionStep("trim", False, "left out")
-    )
-    monkeypatch.setattr(
-        commission._Session, "design", lambda self: CommissionStep("design", True, "given")
-    )
 
 
 def limit(fish: Fish) -> float:
@@ -222,21 +224,19 @@ def test_the_whole_of_it(quickly: None, tmp_path: Path, monkeypatch: pytest.Monk
     with Fish(SimTransport(board)) as fish:
         somebody = Somebody()
         steps = list(commission_fish(fish, THESIS, somebody))
-        assert [step.name for step in steps[:4]] == ["look", "trim", "identify", "design"]
+        names = ["health", "tank", "trim", "measure", "limit", "law"]
+        assert [step.name for step in steps] == names
         assert all(step.done for step in steps), steps
         counted = sum(isinstance(e, Countdown) and e.left_s == 0 for e in somebody.told)
         trials = sum(isinstance(e, TrialStarted) for e in somebody.told)
         rests = sum(
             isinstance(e, StepProgress) and e.step == "rest" and e.ok is True for e in somebody.told
         )
-        assert (
-            trials >= 8 and counted == rests == trials
-        )  # the preflight checks goes before every one
+        assert trials == counted == rests == 3, "the preflight checks go before each"
         blind = [e for e in somebody.told if "not checked" in str(getattr(e, "text", ""))]
         assert blind == [], "its camera looks at every start"
-        raises = [one for step in steps for one in step.raises]
-        assert [one.was for one in raises] == pytest.approx([0.5, 0.6])
-        assert limit(fish) == pytest.approx(raises[-1].to)
+        (raised,) = [step.limit for step in steps if step.limit is not None]
+        assert raised.was == pytest.approx(0.5) and limit(fish) == pytest.approx(raised.to)
         assert fish.status().reference_crc == THESIS.crc
         assert fish.params.get("ILC_LEAD").value >= 0.5
         # 0.05 rad askew; what the servo does to a beat is left of it
@@ -255,27 +255,33 @@ def fish_folder(library: Path) -> str:
     return next(path.name for path in library.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("refused", "ends_at", "reached"),
-    [("tank is", "look", 0.5), ("from 0.50", "limits", 0.5), ("from 0.60", "limits", 0.6)],
-)
-def test_no_is_no(
-    refused: str, ends_at: str, reached: float, fish: Fish, known_at_once: None
-) -> None:
+@pytest.mark.parametrize("refused", ["The tank is", "Run 1"])
+def test_no_is_no(refused: str, fish: Fish, quickly: None) -> None:
     steps = list(commission_fish(fish, THESIS, Somebody(refused)))
-    assert steps[-1].name == ends_at and not steps[-1].done
-    assert "the answer was no" in steps[-1].words
-    assert limit(fish) == pytest.approx(reached)
-
-
-def test_a_proof_that_fails_leaves_the_limit(
-    fish: Fish, known_at_once: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fish.sim.world.swap_battery(8.2, gain=0.7)  # type: ignore[union-attr]
-    fish.link.run(1.0)
-    steps = list(commission_fish(fish, THESIS, Somebody()))
-    assert not steps[-1].done and "slower than foretold" in steps[-1].words
+    assert not steps[-1].done and "the answer was no" in steps[-1].words
     assert limit(fish) == pytest.approx(0.5)
+
+
+def test_a_limit_that_nobody_types_stays(fish: Fish, quickly: None) -> None:
+    class Doubtful(Somebody):
+        def number(self, question: str, value: float) -> float | None:
+            assert f"to {value:.2f} rad" in question
+            return None
+
+    steps = {step.name: step for step in commission_fish(fish, THESIS, Doubtful())}
+    assert steps["limit"].done and steps["limit"].limit is None
+    assert "stays 0.50" in steps["limit"].words
+    assert limit(fish) == pytest.approx(0.5)
+    assert steps["law"].done, "the law is designed for the limit there is"
+
+
+def test_a_fish_that_turns_gets_no_more_amplitude(quickly: None) -> None:
+    """Its trim is refused: nobody sets it."""
+    board = SimBoard("tank", seed=1, tail_centre_rad=0.3)
+    with Fish(SimTransport(board)) as fish:
+        steps = {s.name: s for s in commission_fish(fish, THESIS, Somebody("Set it?"))}
+        assert not steps["trim"].done and "does not swim straight" in steps["limit"].words
+        assert limit(fish) == pytest.approx(0.5)
 
 
 def broken(do: Callable[[SimBoard], None], **config: float) -> tuple[list[CommissionStep], float]:
@@ -293,7 +299,7 @@ def test_nothing_begins_on_an_empty_battery_or_without_a_camera() -> None:
         broken(lambda board: board.world.set_camera(False)),
     ):
         print(steps)
-        assert [step.name for step in steps] == ["look"] and not steps[0].done
+        assert [step.name for step in steps] == ["health"] and not steps[0].done
         assert reached == pytest.approx(0.5)
 
 

@@ -1,0 +1,123 @@
+"""start: from a connected fish to a report, step by step."""
+
+from __future__ import annotations
+
+import sys
+import webbrowser
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from tailbeat.app.cli._camera import LiveCamera, TankCameraOptions, live_camera
+from tailbeat.app.cli._lazy import opt
+from tailbeat.app.cli._operator import TerminalOperator, terminal
+from tailbeat.app.cli._options import Connect, Rest, Yes, connected, reference_names
+from tailbeat.app.cli._terminal import Output, command_typed, json_asked, lines_of, warn
+from tailbeat.app.cli.trial_run import GOOD_ENDS, experiment_for, keep_alive, series_document
+from tailbeat.board.fish import Fish
+from tailbeat.core.reference import Reference
+from tailbeat.experiment.current import named_reference
+from tailbeat.experiment.redo import write_redo
+from tailbeat.link.messages import SIMULATED_FISH
+from tailbeat.report.paper import write_report
+from tailbeat.session.next_law import LawName
+from tailbeat.session.outcome import Decision
+from tailbeat.session.preflight_step import PreflightLimits
+from tailbeat.session.series import Options, Until
+from tailbeat.session.start import StartEnd, StartOptions, run_start
+
+
+def start(
+    *,
+    reference: Reference | None = opt(
+        "What to learn, as for 'reference upload'; default: the board's, else thesis.",
+        autocompletion=reference_names,
+        by=named_reference,
+        show_default=False,
+    ),
+    until: Until | None = opt(
+        "Run trials until then; default: converged.", "converged|battery|N", by=Until.parse
+    ),
+    law: LawName = opt(
+        "Of the inputs; auto: model-based once a model predicts the fish, else P.",
+        "auto|model|p",
+        default="auto",
+    ),
+    rest: Rest = None,
+    yes: Yes = False,
+    open_: bool = opt("Show the report in a browser.", name="--open/--no-open", default=True),
+    camera: TankCameraOptions,
+    connect: Connect = None,
+) -> Output:
+    """Lead through the whole job: health, commissioning, reference, trials, report.
+
+    Each step says why, how long it takes and what to press. What is done already is skipped, so the
+    same command continues an interrupted job. --yes answers the questions of a simulated fish; on
+    any other it stops before the tail moves.
+
+    Example: tailbeat start --connect sim --yes
+    """
+    camera.check()
+    series = Options(
+        until=until or Until(None, converged=True),
+        wanted=rest or PreflightLimits(),
+        typed=command_typed(),
+        law=law,
+    )
+    with connected(connect) as fish, live_camera(fish, camera) as live, terminal() as there:
+        end = _run(fish, live, there, StartOptions(reference, series), yes)
+    page = _report(end, open_)
+    status = _status(end)
+    if end.series is not None and status:
+        warn(end.series.words)
+    return Output(_document(end, page), lambda: _text(end, page), status)
+
+
+def _run(fish: Fish, live: LiveCamera, there: Any, options: StartOptions, yes: bool) -> StartEnd:
+    display, keys = there
+    simulated = fish.info().board in SIMULATED_FISH
+    agrees = yes and simulated
+    operator = TerminalOperator(
+        display,
+        None if agrees else keys,
+        Decision("keep") if agrees else None,
+        partial(keep_alive, fish),
+        on_event=live.follow,
+        agrees=agrees,
+    )
+    acts = simulated if keys is None else True
+    folder = partial(experiment_for, fish, None, lambda text: display.keep(text, loud=True))
+    given = StartOptions(options.reference, options.series, acts and (agrees or keys is not None))
+    return run_start(fish, operator, given, folder, live.camera, live.guard)
+
+
+def _report(end: StartEnd, show: bool) -> Path | None:
+    """The page of the experiment; in a browser where there is a person to look at it."""
+    if end.experiment is None or end.series is None or not end.series.rounds:
+        return None
+    page = write_report(end.experiment).page
+    write_redo(end.experiment)
+    if show and not json_asked.get() and sys.stderr.isatty():
+        webbrowser.open(page.resolve().as_uri())
+    return page
+
+
+def _status(end: StartEnd) -> int:
+    if end.series is None:
+        return 1
+    if end.series.why in (*GOOD_ENDS, "battery"):
+        return 0
+    return 130 if end.series.why == "interrupted" else 1
+
+
+def _document(end: StartEnd, page: Path | None) -> dict[str, Any]:
+    steps = [{"name": one.name, "done": one.done, "words": one.words} for one in end.steps]
+    series = {} if end.series is None else series_document(end.series)
+    folder = end.experiment.folder if end.experiment is not None else None
+    return {"steps": steps, "experiment": folder, "report": page, **series}
+
+
+def _text(end: StartEnd, page: Path | None) -> str:
+    if end.series is None:
+        return f"ended at {end.steps[-1].name}; begin again with the same command"
+    return lines_of(f"ended ({end.series.why}): {end.series.words}", page and f"report {page}")
