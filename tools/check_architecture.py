@@ -21,10 +21,10 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "tailbeat"
 
 # How things are; these numbers and lists only get smaller. The goals: 230 files, 36 000 lines. They
-# grew twice: by what a second plant, learned scatter, honest sigmas and the IMU's calibration need,
-# and by the guided job (start, health, measure, the law of each input).
-FILES_MAX = 242
-CODE_LINES_MAX = 41_350
+# grew three times: by a second plant, learned scatter, honest sigmas and the IMU's calibration; by
+# the guided job (start, health, measure, the law of each input); by the diagnosis of every trial.
+FILES_MAX = 247
+CODE_LINES_MAX = 41_830
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

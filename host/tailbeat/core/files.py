@@ -22,7 +22,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from enum import Enum
+from enum import Enum, StrEnum
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
@@ -106,7 +106,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, Enum):
-        return value.name
+        return value.value if isinstance(value, StrEnum) else value.name
     if isinstance(value, bytes):
         return value.hex()
     if isinstance(value, Path):

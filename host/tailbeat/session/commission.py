@@ -148,9 +148,7 @@ class _Session:
             self.limits,
             tuple(self.trials),
         )
-        if (book := library_of(self.fish)) is not None:
-            book.set_identified(found.identified)
-        set_params(self.fish, found.identified)
+        store_measured(self.fish, found)
         model = found.identified.model
         runs = f"{found.runs} run{'' if found.runs == 1 else 's'}"
         return CommissionStep(
@@ -202,6 +200,13 @@ class _Session:
                 f"{otherwise}: the answer was no.",
                 "Begin again with 'tailbeat session commission'; --yes answers for a script.",
             )
+
+
+def store_measured(fish: Fish, found: MeasuredFish) -> None:
+    """In the trial library, and the model's numbers on the board."""
+    if (book := library_of(fish)) is not None:
+        book.set_identified(found.identified)
+    set_params(fish, found.identified)
 
 
 def give_reference(fish: Fish, reference: Reference, operator: Operator) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from tailbeat.learning.diagnosis import CauseFound
 from tailbeat.link.messages import BeatEvent, LearnReport
 from tailbeat.session.outcome import Decision, RecordedTrial, StopReason
 
@@ -145,6 +146,14 @@ class Assessed:
 
 
 @dataclass(frozen=True)
+class TrialDiagnosed:
+    """What explains a trial's error, the most important cause first; empty = nothing to be done."""
+
+    trial: int
+    causes: tuple[CauseFound, ...]
+
+
+@dataclass(frozen=True)
 class Notice:
     """Information that stops nothing."""
 
@@ -191,6 +200,7 @@ Event = (
     | StepEnded
     | InputChosen
     | Assessed
+    | TrialDiagnosed
     | Notice
     | TrialWarning
     | HoldRequest

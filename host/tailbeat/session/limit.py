@@ -82,6 +82,12 @@ def tried_rad(identified: Identified) -> float:
     return round(max(tops, default=0.0), 4)  # the board's are float32
 
 
+def allowed_rad(identified: Identified, params: Mapping[str, float]) -> float:
+    """As far as AMP_MAX_RAD may be raised: by the servo, and by what a run went to if there was
+    one."""
+    return min(servo_rad(params), tried_rad(identified) or math.inf)
+
+
 def _not_now(straight: HeadingDrift | None, rolled_back: bool) -> str | None:
     if rolled_back:
         return (

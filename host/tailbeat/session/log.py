@@ -21,7 +21,7 @@ from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import reference_crc
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.store import Journal
-from tailbeat.session.events import InputChosen
+from tailbeat.session.events import InputChosen, TrialDiagnosed
 from tailbeat.session.outcome import KINDS, Decision, Ready, RecordedTrial
 
 _LOOK_BACK = 3  # swims the fall is averaged over: one reading scatters by some 20 mV
@@ -144,6 +144,12 @@ class SessionLog:
     def chosen(self, chosen: InputChosen, trial: int) -> None:
         """What makes the input of ``trial``, which comes next."""
         self.journal.add("input", trial=trial, **asdict(chosen))
+
+    def diagnosed(self, found: TrialDiagnosed) -> None:
+        """What explains a trial's error."""
+        self.journal.add(
+            "diagnosis", trial=found.trial, causes=[asdict(one) for one in found.causes]
+        )
 
     def is_begun(self, trial: Trial) -> bool:
         """Whether a log is of the trial that was begun last: by its number, its reference, and that

@@ -20,14 +20,17 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
 from tailbeat.core.records import INPUT_RESTORED, INPUT_UPLOADED
 from tailbeat.core.reference import Reference
+from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.folder import copy_state
 from tailbeat.experiment.library import identified_if_readable, library_of
 from tailbeat.learning.assessment import rollback_words
 from tailbeat.learning.belief import Beliefs
+from tailbeat.learning.diagnosis import Evidence, diagnose
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import any_fish
 from tailbeat.link.messages import LearnReport
-from tailbeat.session.events import InputChosen
+from tailbeat.session.events import InputChosen, TrialDiagnosed
+from tailbeat.session.limit import allowed_rad
 from tailbeat.session.log import SessionLog
 from tailbeat.session.next_input import (
     ModelStep,
@@ -52,15 +55,50 @@ class NextLaw:
     wanted: LawName = "auto"
     _beliefs: Beliefs | None = field(default=None, init=False)
 
-    def begin(self) -> InputChosen:
+    def begin(self, anew: bool = False) -> InputChosen:
         """Before the first trial of a series: plans it where nothing has been learned yet, and
-        where the board has made a step by itself since. What was uploaded or restored stays."""
-        kept = _KEPT.get(self.fish.amplitudes().input or 0)
+        where the board has made a step by itself since. What was uploaded (unless ``anew``) or
+        restored stays."""
+        held = self.fish.amplitudes().input or 0
+        kept = None if anew and held == INPUT_UPLOADED else _KEPT.get(held)
         return self._noted(kept or self._chosen(restored=False))
 
     def after(self, report: LearnReport) -> InputChosen:
         """After the board has learned from a trial; it has the next input when this returns."""
         return self._noted(self._chosen(report.rolled_back))
+
+    def diagnose_last(self, made_by: str) -> TrialDiagnosed | None:
+        """What explains the error of the last trial that was learned from; ``made_by``: the law of
+        its input. In the event log too. None when the model cannot tell."""
+        trials = self.log.counting()
+        try:
+            evidence = self._evidence(made_by, trials)
+        except InputError:
+            return None
+        if evidence is None:
+            return None
+        found = TrialDiagnosed(trials[-1].number, tuple(diagnose(evidence)))
+        if found.causes:
+            self.log.diagnosed(found)
+        return found
+
+    def _evidence(self, made_by: str, trials: Sequence[Trial]) -> Evidence | None:
+        """None where no trial of the reference has a speed."""
+        beliefs, setting = self._known(), setting_of(self.fish)
+        crc = setting.reference.crc
+        speeds = [trial_speeds(trial) for trial in trials]
+        speeds = [one for one in speeds if one.reference_crc == crc and one.measured.any()]
+        if not speeds:
+            return None
+        known = trials_since(beliefs.identified, self._trials(), self.fish.unique_id())
+        return Evidence(
+            setting.reference,
+            setting.amplitude_max_rad,
+            speeds,
+            beliefs.after(known),
+            setting.law if made_by == "p" else None,
+            max(allowed_rad(beliefs.identified, trials[-1].params), setting.amplitude_max_rad),
+        )
 
     def _noted(self, chosen: InputChosen) -> InputChosen:
         """In the event log, with the copy of what the board has now."""

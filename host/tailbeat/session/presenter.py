@@ -23,6 +23,7 @@ from tailbeat.session.events import (
     StepEnded,
     StepProgress,
     TrialDecided,
+    TrialDiagnosed,
     TrialEnded,
     TrialStarted,
     TrialStopped,
@@ -87,6 +88,8 @@ def result(event: Event) -> str:
             return f"{_MARKS[done]:>2}  {name}: {words}"
         case Assessed():
             return event.words
+        case TrialDiagnosed(trial, causes) if causes:
+            return f"trial {trial}, what holds it back: {causes[0].text}. {causes[0].proposal}"
     return ""
 
 

@@ -29,9 +29,10 @@ from tailbeat.session.events import Event, Notice, Operator, TrialRecorded
 from tailbeat.session.guards import Guard
 from tailbeat.session.identify import prior_of
 from tailbeat.session.log import RESUME_COMMAND, SessionLog, held_before, repeat_path, write_held
+from tailbeat.session.options import Options, Until
 from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.preflight_step import GivenUp
-from tailbeat.session.series import Options, Until, run_series
+from tailbeat.session.series import run_series
 
 REASON = "battery swap"
 

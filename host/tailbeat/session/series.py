@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 
@@ -15,6 +16,7 @@ from tailbeat.experiment.folder import Experiment, alone, copy_state, require_no
 from tailbeat.experiment.library import library_of
 from tailbeat.experiment.redo import write_redo
 from tailbeat.learning.convergence import Assessment
+from tailbeat.learning.diagnosis import CauseFound
 from tailbeat.link.messages import LearnReport
 from tailbeat.session.collect import (
     STOPPED,
@@ -43,83 +45,42 @@ from tailbeat.session.log import (
     switched_off_since,
     too_low,
 )
-from tailbeat.session.next_law import LawName, NextLaw
-from tailbeat.session.outcome import BY_HAND, Decision, DecisionKind, Ready, RecordedTrial
+from tailbeat.session.next_law import NextLaw
+from tailbeat.session.options import Options
+from tailbeat.session.outcome import BY_HAND, Decision, Ready, RecordedTrial
 from tailbeat.session.preflight import prepare
 from tailbeat.session.preflight_step import BatteryLow, GivenUp, PreflightLimits, countdown
 from tailbeat.session.status import assess_series
 from tailbeat.session.travel import guarded_trial, travel_next
 from tailbeat.session.trial_camera import camera_of
 
-CONVERGED, BATTERY = "converged", "battery"
-_SWIMS_MAX = 999
-
-
-@dataclass(frozen=True)
-class Until:
-    """When a series ends: after ``trials`` trials that were kept, when the verdict says that there
-    is nothing more to gain (``converged``), always when the battery is too low to swim on."""
-
-    trials: int | None = 1
-    converged: bool = False
-
-    @classmethod
-    def parse(cls, text: str) -> Until:
-        """``converged``, ``battery`` or a number. Raises InputError."""
-        word = text.strip().lower()
-        if word == CONVERGED:
-            return cls(None, converged=True)
-        if word == BATTERY:
-            return cls(None)
-        if word.isascii() and word.isdigit() and 1 <= int(word) <= _SWIMS_MAX:
-            return cls(int(word))
-        raise InputError(
-            f"'{text}' says no end of a series.",
-            f"Say {CONVERGED}, {BATTERY} or a number of trials (1 to {_SWIMS_MAX}).",
-        )
-
-
 GOES_ON = "nothing is lost, the same command goes on from here"
 BY_CTRL_C = f"stopped by Ctrl-C; {GOES_ON}"
 
 
 @dataclass(frozen=True)
-class Options:
-    """``wanted`` None: no preflight checks. ``learn``: kept trials are learned from at once;
-    otherwise the series ends with the first, which waits. ``counts``: what a trial must have become
-    to count for ``until.swims``. ``of_best``: these are the repeats of the best after a battery
-    swap. ``typed``: the command, for the event log. ``law``: of the inputs.
-    """
-
-    until: Until = field(default_factory=Until)
-    wanted: PreflightLimits | None = field(default_factory=PreflightLimits)
-    learn: bool = True
-    reconnect_s: float = 60.0
-    counts: tuple[DecisionKind, ...] = ("keep",)
-    of_best: bool = False
-    typed: str = ""
-    law: LawName = "auto"
-
-
-@dataclass(frozen=True)
 class Round:
-    """One trial and what became of it. ``learned`` None: nothing was learned."""
+    """One trial and what became of it. ``learned`` None: nothing was learned. ``causes``: what
+    explains its error, the most important cause first."""
 
     recorded: RecordedTrial
     decision: Decision
     learned: LearnReport | None
+    causes: tuple[CauseFound, ...] = ()
 
 
 @dataclass(frozen=True)
 class SeriesEnd:
     """``why``: ``trials``, ``converged``, ``saturated`` (nothing more to gain at the amplitude
-    limit), ``battery``, ``interrupted`` (Ctrl-C or the operator), or ``stopped`` (the board stopped
-    by a rule of its own and is left so, with its reason)."""
+    limit), ``battery``, ``interrupted`` (Ctrl-C or the operator), ``stopped`` (the board stopped by
+    a rule of its own and is left so, with its reason), or ``proposal`` (``accepted`` is to be
+    carried out)."""
 
     why: str
     words: str
     rounds: list[Round]
     verdict: Assessment | None
+    accepted: CauseFound | None = None
 
     @property
     def records(self) -> list[RecordedTrial]:
@@ -365,7 +326,7 @@ class _Series:
         the room is looked at."""
         fish, wanted, operator = around.fish, self.options.wanted, around.operator
         if self.chosen is None and not self.options.of_best:
-            self._choose(self.law.begin())
+            self._choose(self.law.begin(self.options.plan_anew))
         ready, book = None, library_of(fish)
         if wanted is None:
             travel_next(fish, book).require_room()
@@ -432,14 +393,31 @@ class _Series:
         self.rounds.append(Round(recorded, decision, done.learned))
         self.counted += counts and decision.kind in self.options.counts
         if (learned := done.learned) is not None:
+            made_by = self.chosen.law if self.chosen is not None else ""
             self._choose(self.law.after(learned))
             operator, rolled_back = self.around.operator, learned.rolled_back
             self.verdict = assess_series(self.around.fish, operator, self.log, rolled_back)
+            diagnosed = self.law.diagnose_last(made_by)
+            if diagnosed is not None:
+                operator.tell(diagnosed)
+                self.rounds[-1] = replace(self.rounds[-1], causes=diagnosed.causes)
+            if not done.left and (found := self._accepted(self.rounds[-1].causes)) is not None:
+                return replace(self.end("proposal", found.proposal), accepted=found)
         if not done.left:
             return None
         critical = self.around.fish.status().fault.number == BATTERY_CRITICAL
         then = RESUME_COMMAND if critical else "tailbeat board clear"
         return self.end("stopped", f"{done.left} Then: {then}")
+
+    def _accepted(self, causes: Sequence[CauseFound]) -> CauseFound | None:
+        """The first proposal, if the operator wants it carried out."""
+        options = self.options
+        if not (options.proposes and causes) or causes[0].cause in options.declined:
+            return None
+        found = causes[0]
+        options.declined.add(found.cause)  # asked once, whatever the answer
+        question = f"{found.text}. Proposal: {found.proposal}. Do it now?"
+        return found if self.around.operator.confirm(question) else None
 
     def _choose(self, chosen: InputChosen) -> None:
         self.chosen = chosen

@@ -25,7 +25,9 @@ from tailbeat.session.commission import commission_fish, give_reference
 from tailbeat.session.events import Operator, StepBegun, StepEnded
 from tailbeat.session.guards import Guard
 from tailbeat.session.health import HEALTH, check_health
-from tailbeat.session.series import Options, SeriesEnd, run_series
+from tailbeat.session.options import Options
+from tailbeat.session.proposals import Trials
+from tailbeat.session.series import SeriesEnd
 from tailbeat.session.travel import travel_of
 
 _COMMAND = "tailbeat start"
@@ -98,9 +100,11 @@ class _Guide:
             4, "trials", "each is one run along the reference, then it learns", "2 min each"
         )
         self._require_act("trials")
-        folder = self.experiment()
         series = self.options.series
-        end = run_series(self.fish, folder, self.operator, series, self.camera, self.guard)
+        trials = Trials(
+            self.fish, self.operator, series, self.experiment, self.camera, self.guard, self.steps
+        )
+        end, folder = trials.run()
         return StartEnd(self.steps, end, folder)
 
     def _is_under_way(self) -> bool:

@@ -29,8 +29,9 @@ from tailbeat.experiment.library import library_of, preserve_folder
 from tailbeat.session import preflight, series
 from tailbeat.session.events import Event
 from tailbeat.session.log import SessionLog, write_held
+from tailbeat.session.options import Options, Until
 from tailbeat.session.outcome import Decision, RecordedTrial
-from tailbeat.session.series import Options, Until, run_series
+from tailbeat.session.series import run_series
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimBoard, SimTransport
 

@@ -32,9 +32,10 @@ from tailbeat.session.collect import keep_log, outcome_of, record_of
 from tailbeat.session.events import Event, TrialStarted
 from tailbeat.session.identify import prior_of
 from tailbeat.session.log import SessionLog, repeat_path, write_held
+from tailbeat.session.options import Options, Until
 from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.resume import Restored, repeat_best, restore
-from tailbeat.session.series import Options, Until, run_series
+from tailbeat.session.series import run_series
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trim import find_centre
 from tailbeat.sim.board import SimBoard, SimTransport

@@ -40,9 +40,10 @@ from tailbeat.session.events import (
     TrialWarning,
 )
 from tailbeat.session.log import Drain, forecast, too_low
+from tailbeat.session.options import Options, Until
 from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.preflight_step import GivenUp
-from tailbeat.session.series import Options, SeriesEnd, Until, run_series
+from tailbeat.session.series import SeriesEnd, run_series
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimBoard, SimTransport
 from tailbeat.studies.montecarlo.populations import draw

@@ -23,9 +23,10 @@ from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import TrialLibrary, library_of
 from tailbeat.learning import fit
 from tailbeat.session.events import Event, InputChosen, StepEnded, TrialStarted
+from tailbeat.session.options import Options, Until
 from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.preflight_step import PreflightLimits
-from tailbeat.session.series import Options, Until, run_series
+from tailbeat.session.series import run_series
 from tailbeat.session.start import NobodyThere, StartEnd, StartOptions, run_start
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimBoard, SimTransport
@@ -293,7 +294,7 @@ def test_few_words_and_few_keys(tank: Tank, capsys: pytest.CaptureFixture[str]) 
         )
     assert end.series is not None and end.series.rounds[0].learned is not None
     lines = capsys.readouterr().err.splitlines()
-    lines = lines[: next(i for i, line in enumerate(lines) if "learned from trial" in line)]
+    lines = lines[: next(i for i, line in enumerate(lines) if line.startswith("trial  law"))]
     first: dict[str, str] = {}
     for line in lines:
         for name in re.findall(r"\b[A-Z]{2,}_[A-Z_]+\b", line):

@@ -47,10 +47,10 @@ from tailbeat.learning.design import design as design_law
 from tailbeat.learning.identification import Identified, from_table
 from tailbeat.report.figures.convergence import draw_law
 from tailbeat.session.commission import CommissionStep, commission_fish
+from tailbeat.session.options import Options
 from tailbeat.session.outcome import Decision
 from tailbeat.session.preflight_step import PreflightLimits
 from tailbeat.session.resume import Restored, repeat_best, restore, restore_params
-from tailbeat.session.series import Options
 from tailbeat.session.status import status_of, words
 from tailbeat.session.trim import Trim, apply, find_centre
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import webbrowser
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,9 @@ from tailbeat.experiment.redo import write_redo
 from tailbeat.link.messages import SIMULATED_FISH
 from tailbeat.report.paper import write_report
 from tailbeat.session.next_law import LawName
+from tailbeat.session.options import Options, Until
 from tailbeat.session.outcome import Decision
 from tailbeat.session.preflight_step import PreflightLimits
-from tailbeat.session.series import Options, Until
 from tailbeat.session.start import StartEnd, StartOptions, run_start
 
 
@@ -87,7 +88,8 @@ def _run(fish: Fish, live: LiveCamera, there: Any, options: StartOptions, yes: b
     )
     acts = simulated if keys is None else True
     folder = partial(experiment_for, fish, None, lambda text: display.keep(text, loud=True))
-    given = StartOptions(options.reference, options.series, acts and (agrees or keys is not None))
+    series = replace(options.series, proposes=keys is not None and not agrees)
+    given = StartOptions(options.reference, series, acts and (agrees or keys is not None))
     return run_start(fish, operator, given, folder, live.camera, live.guard)
 
 

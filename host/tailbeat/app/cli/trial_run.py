@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -36,10 +36,12 @@ from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.session.events import Event, OnEvent
 from tailbeat.session.guards import Guard, guards_of
 from tailbeat.session.next_law import LawName
+from tailbeat.session.options import Options, Until
 from tailbeat.session.outcome import Decision, DecisionKind
 from tailbeat.session.preflight_step import PreflightLimits
 from tailbeat.session.presenter import alert
-from tailbeat.session.series import Options, Round, SeriesEnd, Until, run_series
+from tailbeat.session.proposals import Trials
+from tailbeat.session.series import Round, SeriesEnd
 from tailbeat.session.travel import guarded_trial, travel_next
 from tailbeat.session.trial import run_trial
 
@@ -206,12 +208,14 @@ def _outcome_text(outcome: TrialOutcome) -> str:
 
 def _run_guided(fish: Fish, live: LiveCamera, given: GuideOptions) -> Output:
     """Runs the series. Exit status 0 when it ended as was asked for."""
-    options = given.options()
     with terminal() as (display, keys):
-        experiment = experiment_for(fish, given.into, lambda text: display.keep(text, loud=True))
+        folder = partial(
+            experiment_for, fish, given.into, lambda text: display.keep(text, loud=True)
+        )
         idle = partial(keep_alive, fish)
         operator = TerminalOperator(display, keys, given.answer(), idle, on_event=live.follow)
-        end = run_series(fish, experiment, operator, options, live.camera, live.guard)
+        options = replace(given.options(), proposes=keys is not None and given.then is None)
+        end, experiment = Trials(fish, operator, options, folder, live.camera, live.guard).run()
     until = options.until
     good = (*GOOD_ENDS, "battery") if until.trials is None and not until.converged else GOOD_ENDS
     status = 0 if end.why in good else 130 if end.why == "interrupted" else 1
@@ -271,6 +275,7 @@ def _trial_document(one: Round) -> dict[str, Any]:
         **pick(recorded, "file", "max_abs_error_m_s", "rms_error_m_s", "measured_beats", "beats"),
         **pick(recorded, "battery_start_v", "battery_end_v", "ready", "straight", "problems"),
         "report": one.learned,
+        "causes": one.causes,
     }
 
 

@@ -10,8 +10,8 @@ from datetime import datetime
 from typing import Any
 
 from tailbeat.core.errors import InputError
+from tailbeat.session.options import Until
 from tailbeat.session.outcome import Decision, DecisionKind
-from tailbeat.session.series import Until
 
 KINDS = ("swim", "decide", "answer", "upload", "note", "clear")
 _SINGLE = frozenset(KINDS) - {"note"}  # the first who asks is served, the second hears why not

@@ -31,9 +31,10 @@ from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import BeatEvent, BoardStatus, LearnReport, imu_health
 from tailbeat.session.events import Event, TrialDecided
 from tailbeat.session.guards import Guard
+from tailbeat.session.options import Options, Until
 from tailbeat.session.outcome import KINDS, Decision, RecordedTrial
 from tailbeat.session.preflight_step import PreflightLimits
-from tailbeat.session.series import Options, Until, run_series
+from tailbeat.session.series import run_series
 from tailbeat.session.travel import travel_next
 from tailbeat.session.trial_camera import camera_of
 

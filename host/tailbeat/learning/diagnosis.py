@@ -1,0 +1,258 @@
+"""Why a trial's error is as large as it is: named causes, each with its number, place and remedy.
+
+What the amplitude limit and the reference cost follows from the model (error bounds). The rest is
+told from how the trials of a series differ from the model that was measured before them: a shift
+that begins with some trial and stays is a changed fish, one from the first trial on a model that
+misses, shifts without order are disturbances; a remainder that comes again is a model that misses,
+one that does not is a disturbance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+
+from tailbeat.core.law import Law
+from tailbeat.core.printable import mm
+from tailbeat.core.reference import Reference
+from tailbeat.core.trial_checks import spans
+from tailbeat.learning.belief import Belief
+from tailbeat.learning.error_bound import ErrorBound, Miss, error_bound
+from tailbeat.learning.fish_model import FishModel, TrialSpeeds
+from tailbeat.learning.saturation import SERVO_MOST_RAD, at_limit
+from tailbeat.learning.shifts import Pattern, Split, remainders, shifts_of, split_of
+
+SHARE_MIN_M_S = 0.0015  # causes that explain less of the error are not named
+# Of the top speed: what a fish that only drag slows may miss where it comes to rest.
+_END_PART = 0.3
+_DOUBTFUL_M_S = 0.004  # standard deviation of a beat's speed
+_MISSING_PART = 0.15  # of the beats
+_GAIN_PART = 0.75  # of the gain from which on nothing contracts at steady speed
+_TELLING_TRIALS = 3  # of a fish that was not measured, from which on its model is trusted
+_TRIALS_MAX = 6  # the last ones are compared
+
+# The remainder of a beat, RMS, over what is usual for this fish, from which on it is a cause: what
+# comes again, and what does not. Of healthy fish 98 % have less.
+_AGAIN, _ALONE = 1.45, 1.8
+
+
+class Cause(StrEnum):
+    """What explains an error."""
+
+    SATURATION = "saturation"
+    INFEASIBLE = "infeasible reference"
+    MISSING = "missing speeds"
+    DISTURBANCE = "non-repetitive disturbance"
+    MISFIT = "model misfit"
+    CHANGED = "changed fish"
+    GAIN = "gain too high"
+
+
+@dataclass(frozen=True)
+class CauseFound:
+    """``share_m_s``: of the largest error, as far as it can be told. ``number``: the evidence;
+    ``place``: beats or trials; ``proposal``: what to do, in words. ``value``: the gain that is
+    proposed; the first trial of a fish that changed."""
+
+    cause: Cause
+    share_m_s: float
+    number: str
+    place: str
+    proposal: str
+    value: float | None = None
+
+    @property
+    def text(self) -> str:
+        """``saturation, beats 12 to 30: 19 of 40 beats at the limit ...``."""
+        return f"{self.cause}, {self.place}: {self.number}"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What is known after a trial. ``trials``: of the reference since the series began, oldest
+    first, the last one just executed, all with some speed. ``law``: the P law that makes the
+    inputs; None = the model-based law does. ``most_rad``: how far AMP_MAX_RAD could be raised."""
+
+    reference: Reference
+    limit_rad: float
+    trials: Sequence[TrialSpeeds]
+    belief: Belief
+    law: Law | None = None
+    most_rad: float = SERVO_MOST_RAD
+
+    @cached_property
+    def measured_model(self) -> FishModel:
+        """The model before the series; the fitted one where nothing was measured then."""
+        identified = self.belief.identified
+        return self.belief.model if identified.source == "none" else identified.model
+
+    @property
+    def knows_fish(self) -> bool:
+        """Whether the model can be trusted with what a fish can reach."""
+        return self.belief.identified.source != "none" or len(self.trials) >= _TELLING_TRIALS
+
+    @cached_property
+    def bound(self) -> ErrorBound:
+        """With the largest amplitude that could be allowed."""
+        return error_bound(self.belief.model, self.reference, max(self.most_rad, self.limit_rad))
+
+    @cached_property
+    def top_m_s(self) -> float:
+        """Of the reference."""
+        return float(self.reference.speed_m_s.max())
+
+    @cached_property
+    def splits(self) -> list[Split]:
+        """Of the last trials."""
+        return [
+            split_of(one, self.measured_model, self.top_m_s) for one in self.trials[-_TRIALS_MAX:]
+        ]
+
+    @property
+    def usual_remainder_m_s(self) -> float:
+        """Of a beat, RMS, by the speeds' own uncertainty and what the model left out before."""
+        variance = [np.square(one.sigma_m_s[one.measured]) for one in self.trials[-_TRIALS_MAX:]]
+        measured = float(np.mean(np.concatenate(variance)))
+        return math.hypot(math.sqrt(measured), self.belief.identified.scatter.misfit_m_s)
+
+    @property
+    def max_abs_error_m_s(self) -> float:
+        """Of the last trial."""
+        error = self.reference.speed_m_s - self.trials[-1].speed_m_s
+        return float(np.nanmax(np.abs(error)))
+
+
+def diagnose(evidence: Evidence) -> list[CauseFound]:
+    """The causes, the one that explains most first; empty = nothing to be done about. Costs some
+    0.1 s."""
+    detectors = _DETECTORS if evidence.knows_fish else (_missing,)
+    found = [found for of in detectors if (found := of(evidence)) is not None]
+    return sorted(found, key=lambda one: -one.share_m_s)
+
+
+def _saturation(evidence: Evidence) -> CauseFound | None:
+    last = evidence.trials[-1].amplitude_rad
+    count = at_limit(last, evidence.limit_rad)
+    if not count or evidence.limit_rad >= evidence.most_rad:
+        return None
+    held = error_bound(evidence.belief.model, evidence.reference, evidence.limit_rad)
+    share = held.minimax_m_s - evidence.bound.minimax_m_s
+    if share < SHARE_MIN_M_S:
+        return None
+    beats = np.flatnonzero(last >= evidence.limit_rad * (1 - 1e-6))
+    number = (
+        f"{count} of {len(last)} beats at the limit {evidence.limit_rad:.2f} rad, which costs"
+        f" {mm(share)} mm/s"
+    )
+    return CauseFound(
+        Cause.SATURATION, share, number, spans(beats), "raise the amplitude limit, or go slower"
+    )
+
+
+def _infeasible(evidence: Evidence) -> CauseFound | None:
+    spots = [one for one in evidence.bound.spots if not _coming_to_rest(one, evidence)]
+    if not spots or abs(spots[0].error_m_s) < SHARE_MIN_M_S:
+        return None
+    worst = spots[0]
+    share = abs(worst.error_m_s)
+    number = f"no input gets nearer than {mm(share)} mm/s there ({worst.why})"
+    place = spans(range(worst.first, worst.last + 1))
+    proposal = "use the nearest reference that this fish can follow"
+    return CauseFound(Cause.INFEASIBLE, share, number, place, proposal)
+
+
+def _coming_to_rest(spot: Miss, evidence: Evidence) -> bool:
+    """Every reference that ends at rest asks for more brake than drag in its last beats."""
+    ends = evidence.reference.speed_m_s[-1] < _END_PART * evidence.top_m_s
+    last = spot.last >= evidence.reference.beats - 1 and spot.error_m_s < 0
+    return bool(ends and last and abs(spot.error_m_s) < _END_PART * evidence.top_m_s)
+
+
+def _missing(evidence: Evidence) -> CauseFound | None:
+    last = evidence.trials[-1]
+    executed = last.beats if last.swum_beats is None else last.swum_beats
+    doubtful = ~last.measured | (last.sigma_m_s > _DOUBTFUL_M_S)
+    beats = np.flatnonzero(doubtful[:executed])
+    if len(beats) <= _MISSING_PART * executed:
+        return None
+    share = max(evidence.max_abs_error_m_s * len(beats) / executed, SHARE_MIN_M_S)
+    number = f"{len(beats)} of {executed} beats have no speed, or a doubtful one"
+    return CauseFound(
+        Cause.MISSING, share, number, spans(beats), "check the camera and the IMU before going on"
+    )
+
+
+def _gain(evidence: Evidence) -> CauseFound | None:
+    law = evidence.law
+    if law is None:
+        return None
+    model = evidence.belief.model
+    slopes = model.steady_slope(np.linspace(0.5, 1.0, 8) * evidence.top_m_s)
+    limit = float(2 / slopes.max())
+    if law.kp_rad_s_m < _GAIN_PART * limit:
+        return None
+    share = evidence.max_abs_error_m_s * min(law.kp_rad_s_m / limit, 1.0)
+    number = f"gain {law.kp_rad_s_m:.2f}; errors grow from {limit:.2f} on"
+    half = limit / 2
+    proposal = f"set the gain to {half:.2f} and go on from the best input"
+    return CauseFound(Cause.GAIN, share, number, "every beat", proposal, value=half)
+
+
+def _differing(evidence: Evidence) -> CauseFound | None:
+    """Changed fish, misfit or disturbance: whichever explains the most."""
+    splits = evidence.splits
+    again, alone = remainders(splits)
+    usual_m_s = evidence.usual_remainder_m_s
+    shifts = shifts_of(splits, evidence.top_m_s)
+    rows = [
+        (alone, _disturbance, alone > _ALONE * usual_m_s, 0),
+        (again, _misfit, again > _AGAIN * usual_m_s, 0),
+        (shifts.size_m_s, _BY_PATTERN.get(shifts.pattern), True, shifts.since),
+    ]
+    named = [(share, cause, since) for share, cause, is_much, since in rows if cause and is_much]
+    share, cause, since = max(named, key=lambda row: row[0], default=(0.0, None, 0))
+    return cause(evidence, share, since) if cause is not None else None
+
+
+def _disturbance(evidence: Evidence, share: float, since: int) -> CauseFound:
+    number = f"{mm(share)} mm/s differ from trial to trial and cannot be learned"
+    proposal = "repeat the best input; let the water rest longer, and look for what moves it"
+    return CauseFound(Cause.DISTURBANCE, share, number, _trials(evidence, since), proposal)
+
+
+def _misfit(evidence: Evidence, share: float, since: int) -> CauseFound:
+    number = f"the measured model misses every trial by {mm(share)} mm/s in the same way"
+    proposal = "measure the fish again (one run)"
+    return CauseFound(Cause.MISFIT, share, number, _trials(evidence, since), proposal)
+
+
+def _changed(evidence: Evidence, share: float, since: int) -> CauseFound:
+    sign = "+" if evidence.splits[-1].shift_m_s > 0 else "-"
+    number = f"{sign}{mm(share)} mm/s at the same amplitudes (battery, ballast, fin?)"
+    proposal = "look at battery and fin; if nothing is wrong, measure the fish again (one run)"
+    place, first = _trials(evidence, since), float(evidence.trials[-_TRIALS_MAX:][since].trial)
+    return CauseFound(Cause.CHANGED, share, number, place, proposal, value=first)
+
+
+_BY_PATTERN: dict[Pattern, Callable[[Evidence, float, int], CauseFound]] = {
+    "constant": _misfit, "stepped": _changed, "scattered": _disturbance
+}  # fmt: skip
+
+
+def _trials(evidence: Evidence, since: int) -> str:
+    compared = evidence.trials[-_TRIALS_MAX:]
+    return f"since trial {compared[since].trial}" if len(compared) > since else "every trial"
+
+
+_DETECTORS: tuple[Callable[[Evidence], CauseFound | None], ...] = (
+    _saturation,
+    _infeasible,
+    _missing,
+    _gain,
+    _differing,
+)

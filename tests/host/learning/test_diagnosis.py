@@ -1,0 +1,139 @@
+"""What explains an error: each cause planted in trials of a known fish, and none in a healthy one.
+
+How often it is right on random fish is measured by ``make soak``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tailbeat.core.arrays import F64
+from tailbeat.core.law import Law
+from tailbeat.core.reference import Reference, thesis
+from tailbeat.learning.belief import believe
+from tailbeat.learning.diagnosis import Cause, Evidence, diagnose
+from tailbeat.learning.error_bound import error_bound, suggest
+from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.model_law import ModelStepSetting, propose_by
+from tailbeat.learning.shifts import Split, shifts_of
+
+MODEL = FishModel(10.0, 0.21, 0.2, 0.3)
+KNOWN = Identified(
+    MODEL, [MODEL], np.diag(np.square([0.03, 0.01, 0.003, 0.02, 0.02, 0.0002, 0.02, 0.1]))
+)
+MOST_RAD = 0.9
+FEASIBLE = suggest(KNOWN, thesis(), MOST_RAD).reference
+RNG_SEED = 22
+
+
+def trials_of(
+    reference: Reference, count: int = 3, limit_rad: float = MOST_RAD, noise_m_s: float = 0.0007
+) -> list[TrialSpeeds]:
+    """Of the model law's first input, with the scatter of a healthy fish."""
+    setting = ModelStepSetting(reference, limit_rad)
+    amplitude = propose_by(believe(KNOWN, []), setting, []).amplitude_rad
+    rng = np.random.default_rng(RNG_SEED)
+    found = []
+    for number in range(1, count + 1):
+        own = Conditions(0.002, rng.normal(0, 0.0005), rng.normal(1, 0.01))
+        speed = MODEL.beats(amplitude, 1.0, own) + rng.normal(0, noise_m_s, reference.beats)
+        sigma = np.full(reference.beats, 0.0007)
+        found.append(TrialSpeeds(amplitude, speed, sigma, 1.0, reference.crc, number))
+    return found
+
+
+def shifted(trials: list[TrialSpeeds], speed_m_s: list[F64 | float]) -> list[TrialSpeeds]:
+    rows = zip(trials, speed_m_s, strict=True)
+    return [replace(one, speed_m_s=one.speed_m_s + more) for one, more in rows]
+
+
+def causes(
+    trials: list[TrialSpeeds], reference: Reference = FEASIBLE, limit_rad: float = MOST_RAD,
+    law: Law | None = None,
+) -> list[Cause]:  # fmt: skip
+    belief = believe(KNOWN, trials)
+    found = diagnose(Evidence(reference, limit_rad, trials, belief, law, MOST_RAD))
+    assert all(one.share_m_s >= 0.0015 and one.number and one.place and one.proposal
+               for one in found)  # fmt: skip
+    return [one.cause for one in found]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 6])
+def test_a_healthy_fish_needs_nothing(count: int) -> None:
+    assert causes(trials_of(FEASIBLE, count)) == []
+
+
+def test_saturation() -> None:
+    low_rad = 0.8 * float(trials_of(FEASIBLE)[0].amplitude_rad.max())
+    trials = trials_of(FEASIBLE, 1, low_rad)
+    assert causes(trials, limit_rad=low_rad) == [Cause.SATURATION]
+    found = diagnose(Evidence(FEASIBLE, low_rad, trials, believe(KNOWN, trials), None, MOST_RAD))
+    gained = error_bound(MODEL, FEASIBLE, low_rad).minimax_m_s
+    assert found[0].share_m_s == pytest.approx(gained, rel=0.1)
+    assert "at the limit" in found[0].text and found[0].place.startswith("beat")
+    stays = Evidence(FEASIBLE, low_rad, trials, believe(KNOWN, trials), None, low_rad)
+    assert Cause.SATURATION not in {one.cause for one in diagnose(stays)}, "no room to raise"
+
+
+def test_a_reference_that_stops_too_fast() -> None:
+    speed = FEASIBLE.speed_m_s.copy()
+    speed[15:20] *= 0.2
+    dips = Reference(1.0, speed, "dips")
+    assert causes(trials_of(dips, 1), dips)[0] is Cause.INFEASIBLE
+
+
+def test_beats_without_a_speed() -> None:
+    trials = trials_of(FEASIBLE, 2)
+    speed = trials[-1].speed_m_s.copy()
+    speed[5:20] = np.nan
+    assert Cause.MISSING in causes([trials[0], replace(trials[1], speed_m_s=speed)])
+
+
+def test_what_does_not_come_again() -> None:
+    assert causes(trials_of(FEASIBLE, 3, noise_m_s=0.005)) == [Cause.DISTURBANCE]
+    assert causes(shifted(trials_of(FEASIBLE, 4), [0.015, -0.02, 0.02, -0.018])) == [
+        Cause.DISTURBANCE
+    ]
+
+
+def test_what_comes_again_from_the_first_trial_on() -> None:
+    wave = 0.005 * np.sin(np.arange(FEASIBLE.beats))
+    assert causes(shifted(trials_of(FEASIBLE), [wave] * 3)) == [Cause.MISFIT]
+    assert causes(shifted(trials_of(FEASIBLE), [0.015] * 3)) == [Cause.MISFIT]
+
+
+def test_a_fish_that_changed() -> None:
+    trials = shifted(trials_of(FEASIBLE, 4), [0.0, 0.0, -0.02, -0.02])
+    found = diagnose(Evidence(FEASIBLE, MOST_RAD, trials, believe(KNOWN, trials)))
+    assert [(one.cause, one.place) for one in found] == [(Cause.CHANGED, "since trial 3")]
+    assert found[0].share_m_s == pytest.approx(0.02, rel=0.3) and found[0].number.startswith("-")
+
+
+def test_one_spoilt_trial_is_no_change() -> None:
+    assert causes(shifted(trials_of(FEASIBLE, 4), [0.0, -0.02, 0.0, 0.0])) == []
+
+
+def test_a_gain_near_the_one_that_diverges() -> None:
+    trials = trials_of(FEASIBLE, 1)
+    slope = MODEL.steady_slope(np.array([FEASIBLE.speed_m_s.max()]))[0]
+    assert causes(trials, law=Law(kp_rad_s_m=2 / slope)) == [Cause.GAIN]
+    assert causes(trials, law=Law(kp_rad_s_m=0.4 / slope)) == []
+
+
+@pytest.mark.parametrize(
+    ("shifts_m_s", "pattern", "since"),
+    [
+        ([0.001, -0.001, 0.0], "usual", 0),
+        ([0.02, 0.021, 0.019], "constant", 0),
+        ([0.0, 0.0, 0.02, 0.02], "stepped", 2),
+        ([0.0, 0.02], "single", 1),
+        ([0.02, -0.02, 0.015, -0.015], "scattered", 0),
+    ],
+)
+def test_patterns_of_shifts(shifts_m_s: list[float], pattern: str, since: int) -> None:
+    found = shifts_of([Split(one, np.zeros(3)) for one in shifts_m_s], 0.07)
+    assert (found.pattern, found.since) == (pattern, since)
