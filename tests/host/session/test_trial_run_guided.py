@@ -91,7 +91,10 @@ def test_words_for_people(trial: Command) -> None:
     lines = out.splitlines()
     assert status == 0 and lines[0].startswith("trial 1, iteration 1: keep, max|e| ")
     assert lines[-1] == "ended (swims): 1 trial"
-    assert "ok  still: " in err and "max|e|" in err and "\x1b" not in err
+    head, units, row = [line.split() for line in err.splitlines()[-4:-1]]
+    assert " ".join(head) == "trial law predicted max|e| RMS at limit battery decision"
+    assert set(units) == {"mm/s", "beats"} and row[:2] == ["1", "p"] and row[-2:] == ["the", "best"]
+    assert "ok  still: " not in err and "\x1b" not in err, "what changes is not for a file"
     assert "it swims in" not in err, "what changes is not for a file"
 
 

@@ -10,16 +10,20 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from tailbeat.app.cli._terminal import Display, ended, json_asked
+from tailbeat.app.cli._trial_table import TrialTable
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import ABORT_COMMAND, fault_info
+from tailbeat.link.messages import LearnReport
 from tailbeat.session.collect import is_good, proposed_decision
 from tailbeat.session.events import (
     Assessed,
     BoardText,
     Countdown,
     Event,
+    InputChosen,
     LiveValues,
     StepProgress,
+    TrialDecided,
     TrialRecorded,
     TrialStarted,
     TrialStopped,
@@ -216,6 +220,8 @@ class TerminalOperator:
     kinds: Mapping[str, tuple[str, str]] = field(default_factory=lambda: KINDS)
     on_event: Callable[[Event], None] = lambda event: None
     agrees: bool = False
+    table: TrialTable = field(default_factory=TrialTable)
+    _law: str = ""  # of the last input
     _enter_may_follow: bool = False  # the one that many type after a letter
     _stopped_by_hand: bool = False
 
@@ -228,7 +234,7 @@ class TerminalOperator:
                 if self.keys is not None and event.step == _FIRST_STEP:
                     self.keys.forget()
                 line = step_text(event)
-                display.show(line) if event.ok is None else display.keep(line)
+                display.keep(line) if event.ok is False else display.show(line)
             case Countdown():
                 self._enter_may_follow = self._stopped_by_hand = False
                 display.bell()
@@ -238,10 +244,20 @@ class TerminalOperator:
             case LiveValues():
                 display.show(live_text(event, self.keys is not None, display.width))
             case TrialRecorded(record):
-                for line in record_lines(record):
+                self.table.lines(event)
+                seen = self._decides(record)
+                for line in record_lines(record) if seen else ():
                     display.keep(line)
-                for problem in record.other_problems:
+                for problem in record.other_problems if seen else record.problems:
                     display.keep(f"  ! {problem}")
+            case TrialDecided() | LearnReport():
+                for line in self.table.lines(event):
+                    display.keep(line)
+            case InputChosen():
+                if event.law != self._law:
+                    display.keep(result(event))
+                self._law = event.law
+                self.table.lines(event)
             case BoardText(_, text) if self._stopped_by_hand and text == _ABORTED:
                 pass  # whoever pressed the key knows
             case _:
@@ -271,12 +287,10 @@ class TerminalOperator:
     def decide(self, recorded: RecordedTrial) -> Decision:
         """The answer given beforehand, else by a key. Raises Undecided when nobody is there and
         the trial is not plainly good."""
-        proposal = proposed_decision(recorded)
-        learned_unseen = proposal.kind != "keep" and self.then == Decision("keep")
-        if self.then is not None and not (self.keys is not None and learned_unseen):
+        if self.keys is not None and self._decides(recorded):
+            return self._ask(self.keys, recorded, proposed_decision(recorded))
+        if self.then is not None:
             return self.then
-        if self.keys is not None:
-            return self._ask(self.keys, recorded, proposal)
         if is_good(recorded):
             return Decision("keep")
         raise Undecided(
@@ -284,6 +298,11 @@ class TerminalOperator:
             "Say what becomes of it: tailbeat trial run --then keep|repeat|discard --reason WHY,"
             " or at a terminal.",
         )
+
+    def _decides(self, recorded: RecordedTrial) -> bool:
+        """Whether whoever is there is asked."""
+        unseen = self.then == Decision("keep") and proposed_decision(recorded).kind != "keep"
+        return self.keys is not None and (self.then is None or unseen)
 
     def confirm(self, question: str) -> bool:
         """With y; without a terminal the answer is no."""
