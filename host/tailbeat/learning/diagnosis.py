@@ -33,7 +33,9 @@ _END_PART = 0.3
 _DOUBTFUL_M_S = 0.004  # standard deviation of a beat's speed
 _MISSING_PART = 0.15  # of the beats
 _GAIN_PART = 0.75  # of the gain from which on nothing contracts at steady speed
-_TELLING_TRIALS = 3  # of a fish that was not measured, from which on its model is trusted
+# From so many trials on the model of a fish that was not measured is trusted, and what does not
+# come again is told: two trials of a healthy fish differ too often by chance.
+_TELLING_TRIALS = 3
 _TRIALS_MAX = 6  # the last ones are compared
 
 # The remainder of a beat, RMS, over what is usual for this fish, from which on it is a cause: what
@@ -209,8 +211,9 @@ def _differing(evidence: Evidence) -> CauseFound | None:
     again, alone = remainders(splits)
     usual_m_s = evidence.usual_remainder_m_s
     shifts = shifts_of(splits, evidence.top_m_s)
+    is_alone = len(splits) >= _TELLING_TRIALS and alone > _ALONE * usual_m_s
     rows = [
-        (alone, _disturbance, alone > _ALONE * usual_m_s, 0),
+        (alone, _disturbance, is_alone, 0),
         (again, _misfit, again > _AGAIN * usual_m_s, 0),
         (shifts.size_m_s, _BY_PATTERN.get(shifts.pattern), True, shifts.since),
     ]
