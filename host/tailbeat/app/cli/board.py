@@ -14,7 +14,7 @@ from pathlib import Path
 import typer
 
 from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._options import Connect, ConnectedFish, connected
+from tailbeat.app.cli._options import Connect, ConnectedFish, Stream, connected
 from tailbeat.app.cli._terminal import Output, json_line, lines_of, progress_bar, warn
 from tailbeat.board import bluetooth
 from tailbeat.board.bluetooth import SetupReport
@@ -34,6 +34,7 @@ from tailbeat.core.trial_checks import never_corrected
 from tailbeat.experiment.folder import backup_places
 from tailbeat.link.messages import BoardInfo, BoardStatus, ImuInfo
 from tailbeat.link.serial import SerialTransport
+from tailbeat.link.stream import streaming
 
 
 def bluetooth_(
@@ -160,13 +161,15 @@ def clear(fish: ConnectedFish) -> Output:
 def watch(
     fish: ConnectedFish,
     count: int | None = opt("Stop after this many lines.", min=1),
+    stream: Stream = None,
 ) -> None:
     """Print the board's messages as JSON lines, until Ctrl-C.
 
     Example: tailbeat board watch | jq -c 'select(.event == "beat")'
     """
-    for event in itertools.islice(fish.watch(), count):
-        json_line(event)
+    with streaming(fish.link, stream):
+        for event in itertools.islice(fish.watch(), count):
+            json_line(event)
 
 
 def crash(

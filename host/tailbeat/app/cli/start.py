@@ -12,7 +12,7 @@ from typing import Any
 from tailbeat.app.cli._camera import LiveCamera, TankCameraOptions, live_camera
 from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._operator import TerminalOperator, terminal
-from tailbeat.app.cli._options import Connect, Rest, Yes, connected, reference_names
+from tailbeat.app.cli._options import Connect, Rest, Stream, Yes, connected, reference_names
 from tailbeat.app.cli._terminal import Output, command_typed, json_asked, lines_of, warn
 from tailbeat.app.cli.trial_run import GOOD_ENDS, experiment_for, keep_alive, series_document
 from tailbeat.board.fish import Fish
@@ -47,6 +47,7 @@ def start(
     rest: Rest = None,
     yes: Yes = False,
     open_: bool = opt("Show the report in a browser.", name="--open/--no-open", default=True),
+    stream: Stream = None,
     camera: TankCameraOptions,
     connect: Connect = None,
 ) -> Output:
@@ -65,7 +66,8 @@ def start(
         typed=command_typed(),
         law=law,
     )
-    with connected(connect) as fish, live_camera(fish, camera) as live, terminal() as there:
+    fish_here = connected(connect, stream=stream)
+    with fish_here as fish, live_camera(fish, camera) as live, terminal() as there:
         end = _run(fish, live, there, StartOptions(reference, series), yes)
     page = _report(end, open_)
     status = _status(end)

@@ -15,7 +15,15 @@ import typer
 from tailbeat.app.cli._camera import LiveCamera, TankCameraOptions, camera_report, live_camera
 from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._operator import TerminalOperator, terminal
-from tailbeat.app.cli._options import EXPERIMENTS, Connect, Into, Rest, connected, verdict_lines
+from tailbeat.app.cli._options import (
+    EXPERIMENTS,
+    Connect,
+    Into,
+    Rest,
+    Stream,
+    connected,
+    verdict_lines,
+)
 from tailbeat.app.cli._terminal import Output, command_typed, lines_of, pick, progress_bar, warn
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError
@@ -116,6 +124,7 @@ def run(
     camera: TankCameraOptions,
     video: Path | None = opt("Film what the camera sees.", "FILM.mkv"),
     given: GuideOptions,
+    stream: Stream = None,
     connect: Connect = None,
 ) -> Output:
     """Arm if needed, run the next trial to its end, print how it went. Ctrl-C stops the tail.
@@ -130,7 +139,8 @@ def run(
     camera.check(video)
     guided = given.guided()
     try:
-        with connected(connect) as fish, live_camera(fish, camera, video) as live:
+        fish_here = connected(connect, stream=stream)
+        with fish_here as fish, live_camera(fish, camera, video) as live:
             if guided:
                 return _run_guided(fish, live, given)
             return _run_once(fish, live, camera.latency)

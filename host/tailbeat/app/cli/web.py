@@ -9,7 +9,7 @@ from threading import Event, Thread
 
 from tailbeat.app.cli._camera import CameraOptions, live_camera
 from tailbeat.app.cli._lazy import opt
-from tailbeat.app.cli._options import EXPERIMENTS, Connect, Root
+from tailbeat.app.cli._options import EXPERIMENTS, Connect, Root, Stream
 from tailbeat.app.cli._terminal import json_asked, print_line
 from tailbeat.app.web.server import listen, serve
 from tailbeat.app.web.worker import Worker, simulated_camera
@@ -32,6 +32,7 @@ def web(
     port: int = opt("0 = any that is free.", min=0, max=65535, default=8080),
     open_: bool = opt("Show the page in a browser at once.", name="--open/--no-open", default=True),
     root: Root = EXPERIMENTS,
+    stream: Stream = None,
     camera: CameraOptions,
     speed: float = opt("With --connect sim: simulated seconds per second.", default=1.0),
 ) -> None:
@@ -46,7 +47,11 @@ def web(
     with contextlib.closing(place.listener), _board(connect, speed) as make:
         urls = "\n".join(f"the page: {url}" for url in place.urls)
         print_line({"urls": place.urls, "port": place.port}, f"{urls}\n(Ctrl-C ends it)")
-        serve(Worker(make, root, partial(_camera, camera)), place, open_ and not json_asked.get())
+        serve(
+            Worker(make, root, partial(_camera, camera), stream=stream),
+            place,
+            open_ and not json_asked.get(),
+        )
 
 
 @contextlib.contextmanager

@@ -29,6 +29,7 @@ from tailbeat.core.speed_source import Camera
 from tailbeat.experiment.library import library_of
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import BeatEvent, BoardStatus, LearnReport, imu_health
+from tailbeat.link.stream import StreamAddress, streaming
 from tailbeat.session.events import Event, TrialDecided
 from tailbeat.session.guards import Guard
 from tailbeat.session.options import Options, Until
@@ -61,12 +62,14 @@ class Worker:
     """``connect`` makes the Fish, in the worker's thread; a lost link is connected again, with
     what was wrong in ``now.problem`` meanwhile. ``root``: of new experiments. ``open_camera`` opens
     the camera for each series. ``limits``: of the preflight checks. ``look_s``: how long a
-    request may lie; ``retry_s``: between two tries to connect."""
+    request may lie; ``retry_s``: between two tries to connect. ``stream``: where what the board
+    reports is sent."""
 
     connect: Callable[[], Fish]
     root: Path
     open_camera: OpenCamera = simulated_camera
     limits: PreflightLimits = field(default_factory=PreflightLimits)
+    stream: StreamAddress | None = None
     wall_s: Callable[[], float] = time.monotonic
     look_s: float = 0.05
     retry_s: float = 1.0
@@ -140,7 +143,7 @@ class Worker:
             self._asks.wait_closed(self.retry_s)
 
     def _connected(self) -> None:
-        with self.connect() as fish:
+        with self.connect() as fish, streaming(fish.link, self.stream):
             stop = fish.link.subscribe(self._hear)
             try:
                 if self._asks.abort:
