@@ -17,7 +17,7 @@ import secrets
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -31,9 +31,8 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.reference import thesis
 from tailbeat.experiment.current import begin
-from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import FOLDER_VARIABLE
-from tailbeat.session.events import Event
+from tailbeat.session.events import Event, InputChosen
 from tailbeat.session.options import Options, Until
 from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.series import run_series
@@ -63,10 +62,17 @@ class Load:
 FULL, TINY = Load(20), Load(1, (TANK,))
 
 
+@dataclass
 class Agrees:
-    """Whoever typed --yes."""
+    """Whoever typed --yes. ``inputs``: of the trials, by their numbers, as they were planned."""
 
-    def tell(self, event: Event) -> None: ...
+    fish: Fish
+    inputs: dict[int, F64] = field(default_factory=dict)
+
+    def tell(self, event: Event) -> None:
+        if isinstance(event, InputChosen):
+            planned = self.fish.amplitudes().values.astype(np.float64)
+            self.inputs[self.fish.status().next_trial] = planned
 
     def wants_abort(self) -> bool:
         return False
@@ -126,46 +132,42 @@ def row_of(job: tuple[str, int]) -> Row:
     kind, seed = job
     with TemporaryDirectory() as folder, contextlib.chdir(folder):
         os.environ[FOLDER_VARIABLE] = str(Path(folder) / "library")
-        try:
-            return session(kind, seed)
-        except TailbeatError as error:
-            return Row(kind, seed, failed=str(error))
+        return session(kind, seed)
 
 
 def session(kind: str, seed: int) -> Row:
+    """A fish that stops half-way, as where the room ends, is judged by the inputs it had."""
     plant, settings = settings_of(kind, seed)
+    failed, ended = "", 0
     with Fish(SimTransport(SimBoard(plant, seed=seed, **settings))) as fish:
-        until = Options(until=Until(None, converged=True))
-        end = run_start(
-            fish, Agrees(), StartOptions(series=until), lambda: begin(fish, Path("experiments"))
-        )
-        if end.series is None or end.experiment is None:
-            return Row(kind, seed, failed=end.steps[-1].words)
-        ended = len(end.experiment.trials())
-        if is_converged := end.series.why == "converged":
-            run_series(fish, end.experiment, Agrees(), Options(until=Until(LATER)))
+        operator = Agrees(fish)
+        options = StartOptions(series=Options(until=Until(None, converged=True)))
+        try:
+            end = run_start(fish, operator, options, lambda: begin(fish, Path("experiments")))
+            assert end.series is not None and end.experiment is not None, end.steps[-1].words
+            failed = "" if end.series.why == "converged" else end.series.words
+            ended = len(end.series.rounds)
+            if not failed:
+                run_series(fish, end.experiment, operator, Options(until=Until(LATER)))
+        except TailbeatError as error:
+            failed = str(error)
         limit_rad = fish.params.get("AMP_MAX_RAD").value
-    failed = "" if is_converged else end.series.words
-    judge = FishBatch(plant, [still(settings | {"seed": seed})])
-    inputs, errors = judged(judge, end.experiment)
-    second = end.experiment.trials()[SECOND].number
-    fish_settings = settings | {"seed": seed}
-    bound = smallest_errors(
-        plant, fish_settings, WANTED, 1.0, limit_rad, [inputs[SECOND], inputs[-1]], [second]
-    )[0][0]
-    over = errors[ended - 1] - errors[ended:].min() if is_converged else None
-    return Row(kind, seed, ended, float(errors[SECOND]), float(bound), over, failed)
+    if len(operator.inputs) <= SECOND:
+        return Row(kind, seed, failed=failed)
+    errors = errors_of(FishBatch(plant, [still(settings | {"seed": seed})]), operator.inputs)
+    numbers, inputs = list(operator.inputs), list(operator.inputs.values())
+    starts = [inputs[SECOND], inputs[-1]]
+    own = settings | {"seed": seed}
+    bound = smallest_errors(plant, own, WANTED, 1.0, limit_rad, starts, [numbers[SECOND]])[0][0]
+    after = errors[ended : ended + LATER] if ended else []
+    over = errors[ended - 1] - min(after) if len(after) == LATER else None
+    return Row(kind, seed, ended, errors[SECOND], float(bound), over, failed)
 
 
-def judged(judge: FishBatch, experiment: Experiment) -> tuple[F64, F64]:
-    """Inputs of all trials, and their errors."""
-    trials = experiment.trials()
-    inputs = np.array([trial.beats.amplitude_rad for trial in trials], dtype=np.float64)
-    speeds = np.array([
-        judge.run(one[None], trial.number).true_m_s[0]
-        for one, trial in zip(inputs, trials, strict=True)
-    ])  # fmt: skip
-    return inputs, np.abs(WANTED - speeds).max(axis=1)
+def errors_of(judge: FishBatch, inputs: dict[int, F64]) -> list[float]:
+    """Of the input of each trial."""
+    speeds = [judge.run(one[None], number).true_m_s[0] for number, one in inputs.items()]
+    return [float(np.abs(WANTED - one).max()) for one in speeds]
 
 
 def main(load: Load = FULL, arguments: Sequence[str] = ()) -> int:
