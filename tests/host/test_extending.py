@@ -128,7 +128,7 @@ def test_a_fault(extended: Path) -> None:
 
 
 def test_a_figure(extended: Path, tmp_path: Path) -> None:
-    run(extended, "sim", "demo", "--trials", "1", "--out", str(tmp_path / "series"))
+    run(extended, "sim", "demo", "--law", "p", "--trials", "1", "--out", str(tmp_path / "series"))
     run(extended, "report", str(tmp_path / "series"))
     page = (tmp_path / "series" / "report" / "report.html").read_text()
     assert "Measured beats of every trial, 1 experiments." in page

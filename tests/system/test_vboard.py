@@ -119,7 +119,7 @@ def test_info_command(image: Path) -> None:
 @pytest.mark.soak
 def test_demo_command_tells_all_a_simulator_knows(image: Path, tmp_path: Path) -> None:
     url = f"vboard:{image}"
-    given = ("--trials", "1", "--plant", "thesis", "--seed", "7", "--out", tmp_path)
+    given = ("--law", "p", "--trials", "1", "--plant", "thesis", "--seed", "7", "--out", tmp_path)
     found = run("sim", "demo", "--connect", url, *given, "--json")
     assert (found["plant"], found["seed"], found["lead"]) == ("thesis", 7, 0)
     assert found["floor_m_s"] == pytest.approx(0.0008, abs=0.0002)

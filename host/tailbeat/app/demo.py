@@ -1,4 +1,4 @@
-"""The main job, end to end: a fish learns the thesis's speed profile.
+"""The main job by the law of the thesis, end to end: a fish learns its speed profile.
 
 Connect, apply the preset of the thesis, upload, arm, execute a trial, pull its log over the wire,
 learn on the board; after every step the host recomputes its numbers with the same C code and
@@ -9,7 +9,6 @@ another moment of the camera's pictures, and the printed numbers with it.
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -31,18 +30,13 @@ from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.folder import Experiment, copy_state
 from tailbeat.experiment.redo import write_redo
-from tailbeat.learning.belief import Beliefs
 from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
-from tailbeat.learning.fish_model import FishModel, trial_speeds
-from tailbeat.learning.identification import Identified
 from tailbeat.link.messages import LearnReport
 from tailbeat.link.params import THESIS
 from tailbeat.report.paper import write_report
 from tailbeat.session.collect import TrialLog, record_of
-from tailbeat.session.identify import IdentificationHooks, identify_fish
 from tailbeat.session.log import SessionLog
-from tailbeat.session.next_input import next_step, setting_of, upload
 from tailbeat.session.outcome import Decision
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimulatedBoard
@@ -51,7 +45,6 @@ from tailbeat.sim.config import DEFAULT_SEED
 AMPLITUDE_MAX_RAD = THESIS["AMP_MAX_RAD"]
 LEAD_BEATS = {"thesis": THESIS["ILC_LEAD"]}  # the thesis's plant has no delay
 _LEAD_BEATS = 1.0  # any other's
-LAWS = ("p", "model")
 EXPERIMENTS = Path("experiments")
 _SAMPLE_S = 0.04
 
@@ -67,12 +60,11 @@ class DemoOptions:
     plant: str | None = None
     gain: float = 4.0
     lead: float | None = None
-    trials: int = 6
+    trials: int = 8
     seed: int | None = None
     out: Path | None = None
     connect: str | None = None
     overrides: dict[str, float] = field(default_factory=dict)
-    law: str = "p"  # or "model": identify first, then learn with the model
 
 
 @dataclass(frozen=True)
@@ -103,8 +95,6 @@ class DemoResult:
     floor_lsq_m_s: float | None
     trials: list[DemoTrial]
     report: Path
-    law: str = "p"
-    identified: FishModel | None = None  # what law model began with
 
     def as_dict(self) -> dict[str, Any]:
         """SI units, JSON types."""
@@ -119,14 +109,11 @@ def run_demo(options: DemoOptions, progress: Progress = lambda done, text: None)
     """Runs the demo and writes the experiment folder with its report."""
     if options.trials < 1:
         raise InputError(f"{options.trials} trials are no demo.", "Give --trials 1 or more.")
-    if options.law not in LAWS:
-        raise InputError(f"there is no law '{options.law}'.", f"Use {' or '.join(LAWS)}.")
-
-    with Fish.connect(_address(options), **options.overrides) as fish:
+    with Fish.connect(address_of(options), **options.overrides) as fish:
         return _Demo(fish, options).run(progress)
 
 
-def _address(options: DemoOptions) -> str:
+def address_of(options: DemoOptions) -> str:
     """Where to connect, with plant and seed if they are given. A demo is reproducible: without a
     seed the simulated board has the usual one."""
     url = options.connect or "sim"
@@ -153,15 +140,12 @@ class _Demo:
         self.reference = reference.thesis()
         self.rows = [_zero_row(self.reference)]
         self.trials: list[Trial] = []
-        self.identified: Identified | None = None  # law model only
 
     def run(self, progress: Progress) -> DemoResult:
         self._prepare()
-        if self.options.law == "model":
-            self._identify(progress)
         experiment = self._experiment()
         count = self.options.trials
-        self._begin(experiment)
+        self.fish.upload_reference(self.reference.record())
         for i in range(1, count + 1):
             progress((i - 1) / count, f"trial {i} of {count}")
             self._one_trial(experiment)
@@ -177,8 +161,6 @@ class _Demo:
             *self._floor(),
             self.rows,
             write_report(experiment).page,
-            self.options.law,
-            self.identified.model if self.identified else None,
         )
 
     def _prepare(self) -> None:
@@ -196,37 +178,13 @@ class _Demo:
             raise InputError(problem.meaning, problem.remedy)
         self.info = fish.info()
 
-    def _identify(self, progress: Progress) -> None:
-        attendant = IdentificationHooks(
-            before=lambda run: progress(0.0, f"identify: run {run.number}, {run.kind}")
-        )
-        self.identified = identify_fish(self.fish, attendant, quick=True)
-
-    def _begin(self, experiment: Experiment) -> None:
-        """The reference, and with the model law the first amplitudes."""
-        self.fish.upload_reference(self.reference.record())
-        if self.identified is not None:
-            self.setting = setting_of(self.fish)
-            experiment.add_raw("identified.json", _json_bytes(self.identified.as_dict()))
-            self._propose(self.identified, experiment)
-
-    def _propose(self, identified: Identified, experiment: Experiment) -> None:
-        """The model's next amplitudes; what they came from goes into the experiment."""
-        step = next_step(
-            self.setting, Beliefs(identified), [trial_speeds(trial) for trial in self.trials]
-        )
-        name = f"proposal-{len(self.trials) + 1:04d}.json"
-        experiment.add_raw(name, _json_bytes(step.document))
-        upload(self.fish, self.setting, step.proposal)
-
     def _experiment(self) -> Experiment:
         kind = "vboard" if self.info.board == "emulated" else "sim"
         fish = f"{kind}-{self.plant}" if self.sim else self.info.board
-        label = "model" if self.identified is not None else self.law.label()
-        names = fish, self.reference.name, label
+        names = fish, self.reference.name, self.law.label()
         out = self.options.out
         if out is not None and (out / "settings.json").exists():
-            _make_room(Experiment.open(out))
+            make_room(Experiment.open(out))
         new = Experiment.at if out is not None else Experiment.new
         experiment = new(out or EXPERIMENTS, *names)
         experiment.write_settings(
@@ -273,8 +231,6 @@ class _Demo:
         log.journal.add("learned", **asdict(report))
         compare(trial, self.law, fish.amplitudes().values, report.rolled_back, visits)
         self.trials.append(trial)
-        if self.identified is not None:
-            self._propose(self.identified, experiment)
         self.rows.append(self._row(trial, report))
 
     def _row(self, trial: Trial, report: LearnReport) -> DemoTrial:
@@ -310,18 +266,6 @@ class _Demo:
         config = plant_config(self.plant, values)
         found = error_bound(config, self.reference, AMPLITUDE_MAX_RAD)
         return found.minimax_m_s, found.lsq_max_abs_m_s
-
-
-def _json_bytes(document: dict[str, Any]) -> bytes:
-    return json.dumps(document, indent=1, allow_nan=False).encode() + b"\n"
-
-
-def identified_text(model: FishModel) -> str:
-    """The model in a few words."""
-    return (
-        f"identified: drag/mass {model.kappa_per_m:.1f} 1/m, {model.slope_m_s_rad:.3f} m/s/rad "
-        f"beyond {model.dead_zone_rad:.3f} rad, delay {model.delay_s:.2f} s"
-    )
 
 
 def compare(
@@ -364,7 +308,7 @@ def _zero_row(profile: reference.Reference) -> DemoTrial:
     return DemoTrial(0, 0, top, rms, top, fine, 0, 0.0, 0.0, "complete")
 
 
-def _make_room(old: Experiment) -> None:
+def make_room(old: Experiment) -> None:
     """A simulated demo can be made again; anything else is somebody's data."""
     settings = old.settings()
     if settings.get("made_by") != "demo" or not settings.get("simulated"):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tailbeat.app.demo import DemoOptions, DemoResult, Mismatch, compare, run_demo
+from tailbeat.app.demo_laws import run_both
 from tailbeat.core import law as laws
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
@@ -26,7 +27,7 @@ GOLDEN_M_S = {
 
 @pytest.mark.parametrize("gain", [4, 7, 10])
 def test_golden_series_of_the_thesis_plant(gain: int, tmp_path: Path) -> None:
-    result = run_demo(DemoOptions("thesis", gain=gain, out=tmp_path))
+    result = run_demo(DemoOptions("thesis", gain=gain, trials=6, out=tmp_path))
     assert (result.lead, len(result.trials)) == (0, 7)
     for row, golden in zip(result.trials, GOLDEN_M_S[gain], strict=True):
         limit = max(0.02 * golden, 0.0002)
@@ -47,7 +48,6 @@ def test_document_has_the_promised_keys(tank: tuple[DemoResult, Path]) -> None:
     document = json.loads(json.dumps(tank[0].as_dict(), allow_nan=False))
     assert list(document) == [
         "plant", "gain", "lead", "seed", "floor_m_s", "floor_lsq_m_s", "trials", "report",
-        "law", "identified",
     ]  # fmt: skip
     assert list(document["trials"][1]) == [
         "iteration", "trial", "max_abs_error_m_s", "rms_error_m_s", "true_max_abs_error_m_s",
@@ -78,6 +78,21 @@ def test_folder_is_an_experiment_with_a_report(
     assert result.report == folder / "report" / "report.html"
     page = result.report.read_text()
     assert "simulated" in page and "sim-tank learns the thesis speed profile" in page
+
+
+def test_both_laws_on_the_same_fish(tmp_path: Path) -> None:
+    """The same number of runs each; measuring the fish counts."""
+    seen: list[float] = []
+    both = run_both(DemoOptions(trials=4, out=tmp_path), lambda done, _: seen.append(done))
+    assert seen == sorted(seen) and seen[-1] == 1.0
+    document = json.loads(json.dumps(both.as_dict(), allow_nan=False))
+    p_law, start = document["laws"]
+    assert (p_law["measuring_runs"], len(p_law["max_abs_error_m_s"])) == (0, 4)
+    assert (start["measuring_runs"], len(start["max_abs_error_m_s"])) == (3, 1)
+    assert start["max_abs_error_m_s"][0] < 0.5 * p_law["max_abs_error_m_s"][1]
+    assert both.runs[1].run_of(both.runs[1].best) == 4
+    assert both.figure.read_bytes().startswith(b"\x89PNG")
+    assert all(report.is_file() for report in both.reports)
 
 
 def test_same_seed_same_run(tank: tuple[DemoResult, Path], tmp_path: Path) -> None:

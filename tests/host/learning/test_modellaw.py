@@ -14,7 +14,6 @@ import pytest
 
 from tailbeat.app.cli._terminal import Output
 from tailbeat.app.cli.learn import learn_with_model
-from tailbeat.app.demo import DemoOptions, run_demo
 from tailbeat.board.fish import REST, Fish, board_reference
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
@@ -22,7 +21,6 @@ from tailbeat.core.files import plain
 from tailbeat.core.law import Law
 from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.reference import Reference, cosine, thesis, trapezoid
-from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import TrialLibrary
 from tailbeat.learning.belief import believe
 from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
@@ -525,21 +523,6 @@ def test_board_that_was_never_identified_is_told_so(fish: Fish, book: TrialLibra
     book.set_identified(known(Prior().model))
     learn_with_model(fish, None, None, False)
     assert fish.amplitudes().values.max() > 0.3
-
-
-def test_demo_identifies_and_is_at_the_floor_with_its_second_swim(tmp_path: Path) -> None:
-    result = run_demo(DemoOptions(trials=2, law="model", out=tmp_path))
-    document = result.as_dict()
-    assert document["law"] == "model"
-    assert document["identified"]["kappa_per_m"] == pytest.approx(10, rel=0.25)
-    assert result.floor_lsq_m_s is not None
-    for row in result.trials[1:]:
-        assert row.true_max_abs_error_m_s is not None
-        assert row.true_max_abs_error_m_s <= 1.2 * result.floor_lsq_m_s  # single trials scatter
-    experiment = Experiment.open(tmp_path)
-    assert experiment.damaged() == []
-    assert {"identified.json", "proposal-0001.json"} <= {p.name for p in experiment.raw.iterdir()}
-    assert "identified" in result.report.read_text()
 
 
 def test_proposal_is_complete() -> None:

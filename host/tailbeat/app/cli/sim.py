@@ -18,7 +18,9 @@ from tailbeat.app.cli._terminal import (
     progress_bar,
     table,
 )
-from tailbeat.app.demo import DemoOptions, DemoResult, identified_text, run_demo
+from tailbeat.app.demo import DemoOptions, DemoResult, run_demo
+from tailbeat.app.demo_laws import TwoLaws, run_both
+from tailbeat.board.connect import is_simulated
 from tailbeat.core import law as laws
 from tailbeat.core.csv import read_column
 from tailbeat.core.printable import amplitude_rows, mm
@@ -73,23 +75,52 @@ def demo(
     plant: str | None = opt("Model of the fish and the water; default: tank.", "tank|thesis"),
     gain: float = opt("Learning gain, rad s/m.", default=4.0),
     lead: float | None = opt("Beats, in halves; default 0 (thesis) or 1 (tank).", min=0),
-    trials: int = opt("Number of trials.", min=1, default=6),
+    trials: int = opt("Runs of each law.", min=1, default=8),
     seed: int | None = opt("Same seed, same run, bit for bit; default: 1.", min=0),
     out: Path | None = opt("Folder to write; default: below experiments/."),
-    law: str = opt("model: identify the fish first.", "p|model", default="p"),
+    law: str = opt(
+        "both: also as 'start' leads, on a fish simulated here.", "both|p", default="both"
+    ),
     settings: Set = None,
     connect: str | None = opt("Learn on this board instead; vboard = flash image.", "URL"),
 ) -> Output:
-    """Show a simulated fish that learns the thesis's profile, from connecting to the report.
+    """Show a simulated fish that learns the thesis's profile: by its P law, and as start leads.
 
-    Example: tailbeat sim demo --plant tank --gain 4 --trials 6
+    Example: tailbeat sim demo --plant tank --seed 3
     """
     options = DemoOptions(
-        plant, gain, lead, trials, seed, out, connect, assignments(settings or []), law
+        plant, gain, lead, trials, seed, out, connect, assignments(settings or [])
     )
     with progress_bar("demo") as show:
-        result = run_demo(options, show)
-    return Output(result.as_dict(), lambda: _demo_text(result))
+        if law == "p" or not is_simulated(connect or "sim"):  # a real fish is no demo of start
+            result = run_demo(options, show)
+            return Output(result.as_dict(), lambda: _demo_text(result))
+        both = run_both(options, show)
+    return Output(both.as_dict(), lambda: _both_text(both))
+
+
+def _both_text(both: TwoLaws) -> str:
+    rows = [
+        [
+            one.name,
+            one.measuring_runs or "-",
+            len(one.analysis.rows),
+            mm(one.best.max_abs_error_m_s),
+            one.run_of(one.best),
+        ]
+        for one in both.runs
+    ]
+    first, bound = both.p_law, both.p_law.floor_m_s
+    seed = "" if first.seed is None else f", seed {first.seed}"
+    return lines_of(
+        f"one fish (plant {first.plant}{seed}), twice from unknown; errors in mm/s, over beats",
+        table(["law", "to measure", "trials", "best max|e|", "in run"], rows, left=(0,)),
+        bound is not None
+        and f"error bound {mm(bound)} mm/s: no input can do better on this fish without noise",
+        "host and board agree bit for bit",
+        f"figure {both.figure}",
+        *(f"report {report}" for report in both.reports),
+    )
 
 
 def _demo_text(result: DemoResult) -> str:
@@ -109,15 +140,12 @@ def _demo_text(result: DemoResult) -> str:
     first, last = result.trials[0], result.trials[-1]
     down = 1 - last.max_abs_error_m_s / first.max_abs_error_m_s
     seed = "" if result.seed is None else f", seed {result.seed}"
-    law = ""
-    if result.identified is not None:
-        law = f"law model, {identified_text(result.identified)}; else P, "
     bound = (
         f"error bound {mm(result.floor_m_s)} mm/s: no input can do better on this plant without "
         f"noise (least squares: {mm(result.floor_lsq_m_s)})"
     )
     return lines_of(
-        f"plant {result.plant}, {law}gain {result.gain:g} rad s/m, lead {result.lead:g}{seed}"
+        f"plant {result.plant}, gain {result.gain:g} rad s/m, lead {result.lead:g}{seed}"
         "; errors in mm/s, over beats",
         table(header, rows, left=(6,)),
         f"max|e| down {down * 100:.0f} % in {last.iteration} iterations; "

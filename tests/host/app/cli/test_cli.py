@@ -183,9 +183,10 @@ def test_law_refuses(alone: Shell, tmp_path: Path) -> None:
 
 
 def test_demo_prints_one_document(alone: Shell, tmp_path: Path) -> None:
-    document = alone.json("sim", "demo", "--trials", "1", "--seed", "4", "--out", str(tmp_path))
+    one = ("sim", "demo", "--law", "p", "--trials", "1", "--out", str(tmp_path))
+    document = alone.json(*one, "--seed", "4")
     assert (document["seed"], len(document["trials"])) == (4, 2)
-    text = alone.text("sim", "demo", "--trials", "1", "--out", str(tmp_path))
+    text = alone.text(*one)
     assert "error bound 10.4 mm/s" in text
     assert text.splitlines()[-1] == f"report {tmp_path / 'report' / 'report.html'}"
 
@@ -235,7 +236,9 @@ def test_no_command_loads_scipy_or_matplotlib_before_it_runs() -> None:
 def test_what_the_system_refuses_is_one_line(alone: Shell, tmp_path: Path) -> None:
     taken = tmp_path / "file"
     taken.write_text("x")
-    assert str(taken) in alone.fails("sim", "demo", "--trials", "1", "--out", str(taken))
+    assert str(taken) in alone.fails(
+        "sim", "demo", "--law", "p", "--trials", "1", "--out", str(taken)
+    )
     assert str(taken) in alone.fails("trial", "pull", "--into", str(taken))
     long = tmp_path / "long.csv"
     long.write_text("t_s,v_m_s\n" + "1" * 200_000)
