@@ -138,6 +138,15 @@ class Browser:
         field.send_keys(Keys.CONTROL, "a")
         field.send_keys(text)
 
+    def choose(self, selector: str, value: str) -> None:
+        """In a select of the browser's own."""
+        from selenium.webdriver.common.by import By
+        from selenium.webdriver.support.ui import Select
+
+        Select(self.driver.find_element(By.CSS_SELECTOR, f"{selector} select")).select_by_value(
+            value
+        )
+
     def text(self, selector: str) -> str:
         return str(self.ask(f"document.querySelector({json.dumps(selector)}).innerText"))
 
@@ -375,8 +384,9 @@ def test_a_session(page: Page, browser: Browser) -> None:
     browser.phase("idle")
     assert "SIMULATED" in browser.text(".top")
     assert "8.2 V" in browser.text(".chip.battery")
-    assert browser.ask("document.querySelector('.start').disabled")  # nothing to swim yet
     browser.looks("fresh")
+    browser.choose(".commission", "never")
+    browser.choose(".until", "1")
     _note(browser)
     _learn(browser)
     log = browser.download("a.file[download='0002.ulg']")
@@ -427,6 +437,15 @@ def _learn(browser: Browser) -> None:
     points = browser.chart("error-chart")
     assert [x for x, _ in points] == [1, 2, 3]
     assert points[2][1] < points[0][1]  # it has learned something
+    assert len(browser.chart("beat-error-chart", 0, 20)) == 22
+    assert len(browser.chart("tank-chart", 0, 20)) > 20  # where it has been
+    browser.until("document.querySelector('.compare').innerText.includes('trial 3: largest')")
+    browser.click(".params .q-item")
+    browser.until("document.querySelectorAll('.param').length > 0")
+    browser.type(".search input", "gain law")
+    browser.until("document.querySelector('.param-name')?.innerText.startsWith('ILC_GAIN')")
+    browser.press(".write-report", "document.querySelector('.open-report').checkVisibility()")
+    assert "<h1" in browser.ask("fetch('/report').then(answer => answer.text())")
     browser.require_large_targets()
     browser.looks("learned")
 

@@ -10,8 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_checks import HeadingDrift
+from tailbeat.experiment.library import identified_if_readable, library_of
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.planner import plan
 from tailbeat.learning.saturation import (
@@ -74,6 +77,21 @@ def limit_offer(
     if not travel.fits:
         return f"{stays}: no room for more, the trial would come {travel.text()}"
     return LimitIncrease(AMP_MAX, now, to, _reason(params, reference, identified, need, to, travel))
+
+
+def require_tried(fish: Fish, limit_rad: float) -> None:
+    """Raises InputError for a limit that is larger than the board's and than any run of the fish
+    that was executed without a fault."""
+    if limit_rad <= fish.params.get(AMP_MAX).value:
+        return
+    identified = identified_if_readable(library_of(fish))
+    allowed = 0.0 if identified is None else tried_rad(identified)
+    if limit_rad > allowed + GRAIN_RAD / 2:
+        why = f"no run of it went beyond {allowed:.2f} rad" if allowed else "it was not measured"
+        raise InputError(
+            f"{AMP_MAX} may not become {limit_rad:.2f} for this fish: {why}.",
+            "Measure the fish: tailbeat start, or START with commissioning.",
+        )
 
 
 def tried_rad(identified: Identified) -> float:

@@ -38,11 +38,12 @@ _STEPS = 5
 class StartOptions:
     """``reference``: to learn; None: the board's own, else the thesis's. ``series``: of the
     trials. ``acts``: whether the tail may move; False on a board that is not simulated with nobody
-    there."""
+    there. ``anew``: a known fish is measured again."""
 
     reference: Reference | None = None
     series: Options = field(default_factory=Options)
     acts: bool = True
+    anew: bool = False
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,8 @@ class _Guide:
         self._begin(1, HEALTH, "is the fish ready to swim?", "seconds")
         fish, operator = self.fish, self.operator
         self.identified = identified_if_readable(library_of(fish))
-        is_new = self.identified is None or not self.identified.trials
+        is_known = self.identified is not None and bool(self.identified.trials)
+        is_new = self.options.anew or not is_known
         if not self._took(check_health(fish, self.camera, operator, _COMMAND, swims=is_new)):
             return False
         reference = self.options.reference or board_reference(fish) or thesis()

@@ -109,7 +109,7 @@ def test_modules_import_without_the_extras(blocked: str, tmp_path: Path) -> None
 
 def test_commands_run_without_the_extras(blocked: str, tmp_path: Path) -> None:
     commands = [
-        "sim demo --trials 1 --out series",
+        "sim demo --law p --trials 1 --out series",
         "report series --paper",
         "experiment export series --format parquet",
         "sim montecarlo --list",

@@ -16,7 +16,7 @@ import pytest
 import tailbeat
 from tailbeat.app.cli import run
 from tailbeat.app.cli._terminal import Output, echo, present, table, write_json
-from tailbeat.app.web.view import PageState, logged
+from tailbeat.app.web.state import PageState, logged
 from tailbeat.board.fish import Fish
 from tailbeat.core.printable import mm, printable, printable_lines
 from tailbeat.experiment.folder import Experiment

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tailbeat.app.web.view import PageState, after
+from tailbeat.app.web.state import PageState, after
 from tailbeat.board.fish import Fish
 from tailbeat.core.reference import thesis, trapezoid
 from tailbeat.core.trial_file import Trial, read_trial

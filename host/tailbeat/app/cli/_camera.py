@@ -25,7 +25,7 @@ from tailbeat.sensors.camera.render.source import RemoteCamera
 from tailbeat.sensors.camera.source.film import Recorder
 from tailbeat.sensors.camera.source.open import SourceOptions, live_source
 from tailbeat.sensors.camera.sync import sync_by_led
-from tailbeat.sensors.camera.tracking.live import VideoCamera
+from tailbeat.sensors.camera.tracking.live import OnPicture, VideoCamera
 from tailbeat.sensors.camera.tracking.track import Track
 from tailbeat.sensors.camera.tracking.tracker import Tracker
 from tailbeat.session.events import Event, TrialRecorded, TrialStarted
@@ -130,10 +130,13 @@ class LiveCamera:
 
 @contextmanager
 def live_camera(
-    fish: Fish, options: CameraOptions, video: Path | None = None
+    fish: Fish,
+    options: CameraOptions,
+    video: Path | None = None,
+    on_picture: OnPicture | None = None,
 ) -> Iterator[LiveCamera]:
-    """The camera for the length of a trial; ``video``: its film. Raises InputError,
-    ConnectError."""
+    """The camera for the length of a trial; ``video``: its film, instead of which ``on_picture``
+    may see every picture. Raises InputError, ConnectError."""
     options.check(video)
     known, wall_m = options.calibration, options.wall_m()
     if options.positions:
@@ -159,7 +162,7 @@ def live_camera(
             if known is None:
                 calibration.save(video.with_suffix(".tank.json"))
         tracker = Tracker(options.on_fish(), calibration, source.name, patch=True)
-        camera = VideoCamera(source, tracker, not kind.simulated, recorder)
+        camera = VideoCamera(source, tracker, not kind.simulated, recorder or on_picture)
         stack.callback(camera.close)
         yield LiveCamera(camera, _guard(fish, calibration, wall_m), camera, recorder)
 

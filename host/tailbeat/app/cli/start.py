@@ -44,6 +44,7 @@ def start(
         "auto|model|p",
         default="auto",
     ),
+    anew: bool = opt("Measure the fish again, though it is known.", name="--anew"),
     rest: Rest = None,
     yes: Yes = False,
     open_: bool = opt("Show the report in a browser.", name="--open/--no-open", default=True),
@@ -68,7 +69,8 @@ def start(
     )
     fish_here = connected(connect, stream=stream)
     with fish_here as fish, live_camera(fish, camera) as live, terminal() as there:
-        end = _run(fish, live, there, StartOptions(reference, series), yes)
+        asked = StartOptions(reference, series, anew=anew)
+        end = _run(fish, live, there, asked, yes)
     page = _report(end, open_)
     status = _status(end)
     if end.series is not None and status:
@@ -91,7 +93,7 @@ def _run(fish: Fish, live: LiveCamera, there: Any, options: StartOptions, yes: b
     acts = simulated if keys is None else True
     folder = partial(experiment_for, fish, None, lambda text: display.keep(text, loud=True))
     series = replace(options.series, proposes=keys is not None and not agrees)
-    given = StartOptions(options.reference, series, acts and (agrees or keys is not None))
+    given = replace(options, series=series, acts=acts and (agrees or keys is not None))
     return run_start(fish, operator, given, folder, live.camera, live.guard)
 
 

@@ -11,6 +11,7 @@ from tailbeat.app.cli._camera import CameraOptions, live_camera
 from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._options import EXPERIMENTS, Connect, Root, Stream
 from tailbeat.app.cli._terminal import json_asked, print_line
+from tailbeat.app.web.picture import LastPicture
 from tailbeat.app.web.server import listen, serve
 from tailbeat.app.web.worker import Worker, simulated_camera
 from tailbeat.board.connect import open_transport
@@ -47,11 +48,10 @@ def web(
     with contextlib.closing(place.listener), _board(connect, speed) as make:
         urls = "\n".join(f"the page: {url}" for url in place.urls)
         print_line({"urls": place.urls, "port": place.port}, f"{urls}\n(Ctrl-C ends it)")
-        serve(
-            Worker(make, root, partial(_camera, camera), stream=stream),
-            place,
-            open_ and not json_asked.get(),
-        )
+        picture = None if camera.positions else LastPicture()
+        open_camera = partial(_camera, camera, picture)
+        worker = Worker(make, root, open_camera, stream=stream, picture=picture)
+        serve(worker, place, open_ and not json_asked.get())
 
 
 @contextlib.contextmanager
@@ -77,9 +77,12 @@ def _board(url: str | None, speed: float) -> Iterator[Callable[[], Fish]]:
 
 
 @contextlib.contextmanager
-def _camera(options: CameraOptions, fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]:
+def _camera(
+    options: CameraOptions, picture: LastPicture | None, fish: Fish
+) -> Iterator[tuple[Camera | None, Guard | None]]:
     """The camera of ``trial run``, opened for each series; that of a simulated board by itself."""
-    with live_camera(fish, options) as live:
+    on_picture = picture.take if picture is not None else None
+    with live_camera(fish, options, on_picture=on_picture) as live:
         if live.camera is not None:
             yield live.camera, live.guard
             return

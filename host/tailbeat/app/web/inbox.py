@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any
+from typing import Any, Literal
 
 from tailbeat.core.errors import InputError
+from tailbeat.session.next_law import LawName
 from tailbeat.session.options import Until
 from tailbeat.session.outcome import Decision, DecisionKind
 
-KINDS = ("swim", "decide", "answer", "upload", "note", "clear")
+KINDS = (
+    "swim", "decide", "answer", "upload", "note", "clear", "params", "set", "health",
+    "report",
+)  # fmt: skip
+Commission = Literal["new", "anew", "never"]
+"""Whether the fish is measured before the trials: an unknown one, any, none."""
+
 _SINGLE = frozenset(KINDS) - {"note"}  # the first who asks is served, the second hears why not
 
 
@@ -31,8 +39,32 @@ class Ask:
         return cls(kind, check(**values))
 
 
-def _swim(until: str = "1", preflight: bool = True) -> dict[str, Any]:
-    return {"until": Until.parse(str(until)), "preflight": bool(preflight)}
+def _swim(
+    until: str = "1",
+    preflight: bool = True,
+    law: LawName = "auto",
+    commission: Commission = "never",
+) -> dict[str, Any]:
+    return {
+        "until": Until.parse(str(until)),
+        "preflight": bool(preflight),
+        "law": law,
+        "commission": commission,
+    }
+
+
+def _set(name: str, value: object) -> dict[str, Any]:
+    try:
+        number = float(str(value).strip().replace(",", "."))
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"'{value}' is no number.", "Write it like 0.55.")
+    return {"name": name, "value": number}
+
+
+def _answer(yes: bool, typed: object = "") -> dict[str, Any]:
+    return {"yes": bool(yes), "typed": str(typed)}
 
 
 def _decision(kind: DecisionKind, reason: str = "") -> dict[str, Any]:
@@ -47,7 +79,7 @@ def _note(text: str) -> dict[str, Any]:
 
 
 _CHECKS: dict[str, Callable[..., dict[str, Any]]] = {
-    "swim": _swim, "decide": _decision, "note": _note,
+    "swim": _swim, "decide": _decision, "answer": _answer, "note": _note, "set": _set,
 }  # fmt: skip
 
 

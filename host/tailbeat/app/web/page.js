@@ -62,7 +62,16 @@
     if (!tick) { setTimeout(watch, 100); return; }
     heard();
     new MutationObserver(heard).observe(tick, { childList: true, characterData: true, subtree: true });
+    const log = document.querySelector(".log"); // the newest line is above, and stays in sight
+    const first = () => { if (!log.matches(":hover")) log.scrollTop = 0; };
+    new MutationObserver(first).observe(log, { childList: true });
     setInterval(() => body.classList.toggle("cut", Date.now() - heardMs > CUT_MS), 500);
   }
   watch();
+
+  setInterval(() => { // what the camera sees, while anybody can see it
+    for (const picture of document.querySelectorAll("img.camera")) {
+      if (picture.checkVisibility() && !document.hidden) picture.src = `/camera.jpg?${Date.now()}`;
+    }
+  }, 1000);
 })();

@@ -6,15 +6,18 @@ else.
 
 from __future__ import annotations
 
+import html
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 from nicegui import ui
+from nicegui.events import GenericEventArguments
 
 from tailbeat.app.web import view
-from tailbeat.app.web.view import PageState
+from tailbeat.app.web.state import GuideStep, PageState
 from tailbeat.app.web.worker import Worker
 from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
@@ -27,11 +30,21 @@ from tailbeat.session.presenter import record_lines
 Shown = TypeVar("Shown")
 
 UNTIL = {
+    "converged": "until nothing more is gained",
     "1": "one trial",
     "3": "three trials",
     "10": "ten trials",
-    "converged": "until nothing more is gained",
     "battery": "until the battery is low",
+}
+LAWS = {
+    "auto": "model-based, P until it is known",
+    "model": "model-based",
+    "p": "P law on the board",
+}
+COMMISSION = {
+    "new": "if it is unknown: three short runs",
+    "anew": "again, though it is known",
+    "never": "no, trials at once",
 }
 REASONS = (
     "bumped the wall",
@@ -127,6 +140,48 @@ class Live:
         return not why
 
 
+@contextmanager
+def titled(title: str, classes: str = "") -> Iterator[None]:
+    """A card with a heading."""
+    with ui.element("section").classes(f"card {classes}").props(f'aria-label="{title}"'):
+        ui.label(title).classes("title").props("role=heading aria-level=2")
+        yield
+
+
+class Choice:
+    """A select of the browser's own with its label: for mouse, finger, keyboard and screen reader
+    alike. ``on_change`` is called after ``value`` has changed."""
+
+    def __init__(
+        self,
+        label: str,
+        options: dict[str, str],
+        on_change: Callable[[], object] = lambda: None,
+        classes: str = "",
+    ) -> None:
+        self._on_change = on_change
+        with ui.element("label").classes(f"choice {classes}"):
+            ui.label(label)
+            self._select = ui.element("select")
+        self._select.on("change", self._chosen, js_handler="(e) => emit(e.target.value)")
+        self.value = ""
+        self.offer(options, next(iter(options)))
+
+    def offer(self, options: dict[str, str], value: str) -> None:
+        """Other options, with that one chosen."""
+        self.value = value
+        self._select.clear()
+        with self._select:
+            for name, words in options.items():
+                chosen = " selected" if name == value else ""
+                option = ui.html(html.escape(words), tag="option", sanitize=False)
+                option.props(f'value="{name}"{chosen}')
+
+    def _chosen(self, event: GenericEventArguments) -> None:
+        self.value = str(event.args)
+        self._on_change()
+
+
 def warn(text: str) -> None:
     """For a moment, above everything."""
     ui.notify(text, type="warning", position="top", multi_line=True, timeout=6000)
@@ -142,7 +197,7 @@ class Header:
 
     def __init__(self, live: Live) -> None:
         with ui.element("header").classes("top"):
-            ui.label("tailbeat").classes("brand")
+            ui.label("tailbeat").classes("brand").props("role=heading aria-level=1")
             live.label(lambda now: "SIMULATED" if now.simulated else "", "simulated")
             live.label(view.where_line, "where")
             with ui.element("div").classes("chips"):
@@ -167,12 +222,15 @@ def status_card(live: Live) -> None:
     def assessment(now: PageState) -> str:
         return f"Last trial: {now.assessment}" if now.assessment and now.phase == "idle" else ""
 
-    with ui.element("section").classes("card now"):
+    with ui.element("section").classes("card now").props('aria-label="The job"'):
         headline = live.label(view.phase_line, "headline")
         counting = "counting", "calm"
         live.look(headline, lambda now: counting[now.phase != "countdown"], *counting)
         live.label(view.live_line, "figures live")
-        live.drawn(view.steps_shown, _draw_steps, "steps")
+        live.drawn(view.guide_shown, _draw_guide, "steps guide")
+        live.drawn(view.steps_shown, _draw_steps, "steps preflight")
+        live.label(lambda now: now.law, "hint law")
+        live.label(lambda now: now.diagnosis, "banner problem diagnosis")
         live.label(assessment, "hint assessment")
         with ui.element("div").classes("banner fault") as fault:
             live.label(lambda now: now.fault, "")
@@ -186,17 +244,34 @@ def status_card(live: Live) -> None:
 def _start(live: Live) -> None:
     with ui.element("div").classes("go") as go:
         live.label(view.next_line, "travel next")
-        until = ui.select(UNTIL, value="1", label="How long").props("outlined").classes("until")
+        commission = Choice("Measuring the fish", COMMISSION, classes="commission")
+        with ui.element("div").classes("two"):
+            until = Choice("How long", UNTIL, classes="until")
+            law = Choice("Law of the inputs", LAWS, classes="law-choice")
         preflight = ui.switch(
             "Preflight checks before each trial: rest, pose, still water", value=True
         )
-        start = ui.button(
-            "START",
-            on_click=lambda: live.ask("swim", until=until.value, preflight=preflight.value),
-        )
-        start.props("unelevated").classes("start")
+
+        def swim() -> None:
+            live.ask(
+                "swim",
+                until=until.value,
+                preflight=preflight.value,
+                law=law.value,
+                commission=commission.value,
+            )
+
+        start = ui.button("START", on_click=swim).props("unelevated").classes("start")
+        health = ui.button("Check the fish's health", on_click=lambda: live.ask("health"))
+        health.props("outline").classes("check-health")
     live.follow(lambda now: now.phase in ("idle", "connecting", "working"), go.set_visibility)
-    live.follow(lambda now: now.phase == "idle" and bool(now.reference_m_s), start.set_enabled)
+    for button in (start, health):
+        live.follow(lambda now: now.phase == "idle", button.set_enabled)
+
+
+def _draw_guide(steps: tuple[GuideStep, ...]) -> None:
+    for step in steps:
+        ui.label(f"{step.name}: {step.words}").classes(_STEP_LOOKS[step.done])
 
 
 def _draw_steps(steps: tuple[StepProgress, ...]) -> None:
@@ -207,10 +282,8 @@ def _draw_steps(steps: tuple[StepProgress, ...]) -> None:
 
 def trials_card(live: Live) -> None:
     """The trials, newest first, with what can be downloaded of each."""
-    with ui.element("section").classes("card trial-list"):
-        live.label(
-            lambda now: f"Trials in {now.experiment}" if now.experiment else "Trials", "title"
-        )
+    with titled("Trials", "trial-list"):
+        live.label(lambda now: f"In {now.experiment}." if now.experiment else "", "hint")
         ui.label(
             "Errors against the reference, in mm/s: the largest of any beat, and the typical"
             " one (RMS). “ulg” is the log as the board wrote it, “csv” its beats."
@@ -293,7 +366,7 @@ def decision_dialog(live: Live) -> None:
         with ui.element("div").classes("reasons"):
             for reason in REASONS:
                 setter = _given(why.set_value, reason)
-                ui.button(reason, on_click=setter).props("outline color=grey-8")
+                ui.button(reason, on_click=setter).props("outline")
         choices = ui.element("div").classes("choices")
         answers = _Answers(live)
         buttons = {}
@@ -324,15 +397,21 @@ def question_dialog(live: Live) -> None:
     """A question with yes or no."""
     with ui.dialog().props(f"persistent {AT_ONCE}") as dialog, ui.card().classes("dialog asking"):
         text = ui.label().style("line-height:1.4")
+        number = ui.input("Type the number").props("outlined inputmode=decimal")
+        number.classes("number").style("width:100%")
         choices = ui.element("div").classes("choices").style("grid-template-columns:1fr 1fr")
         answers = _Answers(live)
         with choices:
             for name, yes in (("Yes", True), ("No", False)):
-                answer = _given(lambda yes: answers.ask("answer", yes=yes), yes)
+                answer = _given(
+                    lambda yes: answers.ask("answer", yes=yes, typed=number.value or ""), yes
+                )
                 button = ui.button(name, on_click=answer).classes(name.lower())
                 button.props("unelevated" if yes else "outline")
 
     def fill(question: str) -> None:
+        number.set_value("")
+        number.set_visibility(live.worker.now.number is not None)
         text.set_text(question[:1].upper() + question[1:])
         answers.show("")
 

@@ -183,13 +183,27 @@ def build(worker: Worker) -> None:
 
 
 def serve_downloads(worker: Worker) -> None:
-    """``/raw/NAME``: a log; ``/beats/NAME.csv``: its beats. Only those in the trial list."""
+    """``/raw/NAME``: a log; ``/beats/NAME.csv``: its beats; only those in the trial list.
+    ``/report``: the last report; ``/camera.jpg``: the camera's last picture."""
 
     def file_of(name: str) -> Path:
         path = worker.trials.raw_file(name)
         if path is None or not path.is_file():
             raise HTTPException(404, "there is no such trial")
         return path
+
+    @app.get("/report")
+    def report() -> Response:
+        if (path := worker.trials.report_page()) is None:
+            raise HTTPException(404, "there is no report yet")
+        return FileResponse(path, media_type="text/html")
+
+    @app.get("/camera.jpg")
+    def camera() -> Response:
+        picture = worker.picture.jpeg() if worker.picture is not None else None
+        if picture is None:
+            raise HTTPException(404, "there is no picture yet")
+        return Response(picture, media_type="image/jpeg", headers={"cache-control": "no-store"})
 
     @app.get("/raw/{name}")
     def raw(name: str) -> Response:
@@ -212,7 +226,7 @@ def serve_downloads(worker: Worker) -> None:
 WAITING_MAX = 12  # pages of 0.1 to 0.3 s each: longer than that nobody waits for one
 _AGAIN_S = 3
 _PASSES = 8  # of the event loop: a connection is taken, read and answered in five
-_LIGHT = ("/_nicegui", "/raw/", "/beats/")  # files, read by other threads
+_LIGHT = ("/_nicegui", "/raw/", "/beats/", "/report", "/camera.jpg")  # files, read by other threads
 _LATER = Reply(
     HTTPStatus.SERVICE_UNAVAILABLE,
     f'<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="{_AGAIN_S}">'

@@ -2,18 +2,40 @@
 
 from __future__ import annotations
 
+import math
 from datetime import datetime
 from pathlib import Path
 
-from tailbeat.app.web.view import Screen
+from tailbeat.app.web.state import Screen, TrialCurve
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.reference import Reference, ReferenceLimits
+from tailbeat.core.trial_file import Trial
 from tailbeat.experiment import current as notes
 from tailbeat.experiment.analysis import analyse
 from tailbeat.experiment.current import begin, current, make, require_same
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import name_reference
+from tailbeat.experiment.redo import write_redo
+from tailbeat.report.paper import write_report
+
+_CURVES_MAX = 30
+_AT_LIMIT = 1 - 1e-6
+
+
+def _curve_of(trial: Trial) -> TrialCurve:
+    beats, executed = trial.beats, trial.executed_beats
+    limit_rad = trial.params.get("AMP_MAX_RAD", math.inf) * _AT_LIMIT
+    speed = [float(v) if v == v else None for v in beats.speed_m_s]
+    applied = [float(a) if k < executed else None for k, a in enumerate(beats.applied_rad)]
+    return TrialCurve(
+        trial.number,
+        trial.iteration,
+        tuple(map(float, beats.reference_m_s)),
+        tuple(speed),
+        tuple(applied),
+        tuple(a is not None and a >= limit_rad for a in applied),
+    )
 
 
 class PageTrials:
@@ -84,8 +106,9 @@ class PageTrials:
         if self.experiment is None or not any(self.experiment.raw.glob("*.ulg")):
             name = self.experiment.name if self.experiment is not None else ""
             self._screen.set(
-                rows=(), error_bound_m_s=None, start_error_m_s=None, assessment="", experiment=name
-            )
+                rows=(), curves=(), error_bound_m_s=None, start_error_m_s=None, assessment="",
+                diagnosis="", experiment=name
+            )  # fmt: skip
             return
         self._screen.set(experiment=self.experiment.name)
         try:
@@ -95,6 +118,7 @@ class PageTrials:
             return
         self._screen.set(
             rows=tuple(found.rows),
+            curves=tuple(map(_curve_of, found.trials[-_CURVES_MAX:])),
             error_bound_m_s=found.floor_m_s,
             start_error_m_s=found.start_error_m_s,
         )
@@ -112,6 +136,21 @@ class PageTrials:
         self._screen.say(
             f"reference {reference.name}: {reference.beats} beats, {reference.travel_m:.2f} m"
         )
+
+    def report(self) -> None:
+        """Writes the report; the page shows where it is."""
+        if self.experiment is None or not self._screen.now.rows:
+            raise InputError("there is nothing to report yet.", "Run a trial first.")
+        page = write_report(self.experiment).page
+        write_redo(self.experiment)
+        self._screen.set(reported=self._screen.now.reported + 1)
+        self._screen.say(f"report {page}")
+
+    def report_page(self) -> Path | None:
+        """The last report; None = there is none."""
+        folder = self.experiment.folder if self.experiment is not None else None
+        page = folder / "report" / "report.html" if folder is not None else None
+        return page if page is not None and page.is_file() else None
 
     def note(self, text: str, at: datetime) -> None:
         """One that cannot be written stops nothing else."""

@@ -1,232 +1,14 @@
-"""What there is to see at one moment, and how what is told changes it. No web toolkit, no fish.
-
-How things are put on the page: short words, numbers with their units.
-"""
+"""How things are put on the page: short words, numbers with their units."""
 
 from __future__ import annotations
 
 import math
-import threading
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from datetime import datetime
-from typing import Any, Literal
 
-from tailbeat.core.errors import TailbeatError, reason
-from tailbeat.core.printable import mm, printable
+from tailbeat.app.web.state import GuideStep, PageState
+from tailbeat.core.printable import mm
 from tailbeat.experiment.trial_rows import TrialRow
-from tailbeat.link.messages import BeatEvent, BoardStatus
-from tailbeat.session.events import (
-    Assessed,
-    Countdown,
-    Event,
-    LiveValues,
-    StepProgress,
-    TrialStarted,
-)
-from tailbeat.session.outcome import RecordedTrial, Travel
-from tailbeat.session.presenter import log_line
-
-Phase = Literal[
-    "connecting", "idle", "working", "preflight", "countdown", "swimming", "deciding", "asking",
-    "failed",
-]  # fmt: skip
-MOVING: tuple[Phase, ...] = ("preflight", "countdown", "swimming")
-"""Phases in which the tail beats or is about to."""
-
-STOPPED = ("ABORTED", "FAULT")
-LOG_LINES = 200
-
-
-@dataclass(frozen=True)
-class PageState:
-    """What the page shows. ``serial`` grows with every change. ``reference_m_s``, ``speed_m_s``,
-    ``amplitude_rad``: of the trial under way or the last one, one per beat, None for what is not
-    known. ``next_trial``, ``iteration``, ``travel``: of the trial that START begins. ``pending``: a
-    trial that waits on the board. ``problem``: one line for a person, with what to do. ``fault``:
-    why the board stopped, likewise; empty = it has not. ``logged``: lines since the beginning, of
-    which ``log`` holds the last. ``done``: how many wishes have been dealt with."""
-
-    serial: int = 0
-    phase: Phase = "connecting"
-    connection: str = ""
-    simulated: bool = False
-    board: str = ""
-    unique_id: str = ""
-    state: str = ""
-    battery_v: float | None = None
-    battery_low_v: float = 0.0
-    imu: str = ""
-    imu_well: bool | None = None
-    experiment: str = ""
-    iteration: int = 0
-    next_trial: int | None = None
-    pending: int | None = None
-    travel: str = ""
-    trial: int | None = None
-    beat_s: float = 1.0
-    beat: int | None = None
-    step: str = ""
-    steps: tuple[StepProgress, ...] = ()
-    left_s: float | None = None
-    amplitude_max_rad: float | None = None
-    reference_m_s: tuple[float, ...] = ()
-    speed_m_s: tuple[float | None, ...] = ()
-    amplitude_rad: tuple[float | None, ...] = ()
-    recorded: RecordedTrial | None = None
-    question: str = ""
-    rows: tuple[TrialRow, ...] = ()
-    error_bound_m_s: float | None = None
-    start_error_m_s: float | None = None
-    assessment: str = ""
-    problem: str = ""
-    fault: str = ""
-    log: tuple[str, ...] = ()
-    logged: int = 0
-    done: int = 0
-
-
-def logged(now: PageState, text: str, clock: str) -> PageState:
-    """One line more in the log, the oldest go."""
-    line = f"{clock}  {printable(text)}"
-    return replace(now, log=(*now.log[-LOG_LINES + 1 :], line), logged=now.logged + 1)
-
-
-def by_status(now: PageState, status: BoardStatus) -> PageState:
-    """What the board says of itself once a second."""
-    stopped = status.state in STOPPED and status.fault.number != 0
-    fault = status.fault
-    is_under_way = status.state in ("RUNNING", "SETTLING")
-    return replace(
-        now,
-        state=status.state,
-        battery_v=None if status.battery_at_limit else status.battery_v,
-        iteration=status.iteration,
-        next_trial=status.next_trial,
-        pending=status.pending_trial,
-        beat=status.beat if is_under_way else None,
-        fault=f"{fault.meaning}. {fault.remedy}" if stopped else "",
-    )
-
-
-def by_beat(now: PageState, beat: BeatEvent) -> PageState:
-    """A beat that has been executed, of a trial that somebody else may have started."""
-    if beat.trial != now.trial:
-        now = _cleared(now, beat.trial)
-    return _with_beat(now, beat)
-
-
-def after(now: PageState, event: Event, clock: str) -> PageState:
-    """The snapshot after one event of a series."""
-    now = _changed(now, event)
-    text = log_line(event)
-    return logged(now, text, clock) if text else now
-
-
-def _changed(now: PageState, event: Event) -> PageState:
-    match event:
-        case StepProgress():
-            return _step(now, event)
-        case Countdown(left_s):
-            return replace(now, phase="countdown", left_s=left_s, step="hands out of the water")
-        case TrialStarted(trial):
-            return replace(_cleared(now, trial), phase="swimming", step="", left_s=None)
-        case BeatEvent():
-            return _with_beat(now, event)
-        case LiveValues():
-            battery_v = now.battery_v if event.battery_v is None else event.battery_v
-            return replace(now, beat=event.beat, battery_v=battery_v)
-        case Assessed():
-            return replace(now, assessment=_assessment(event))
-    return now
-
-
-def _cleared(now: PageState, trial: int) -> PageState:
-    none = (None,) * len(now.reference_m_s)
-    return replace(now, trial=trial, speed_m_s=none, amplitude_rad=none, recorded=None)
-
-
-def _step(now: PageState, event: StepProgress) -> PageState:
-    others = [s for s in now.steps if s.step != event.step]
-    at = next((i for i, s in enumerate(now.steps) if s.step == event.step), len(others))
-    steps = (*others[:at], event, *others[at:])
-    return replace(now, phase="preflight", step=event.text, left_s=event.left_s, steps=steps)
-
-
-def _with_beat(now: PageState, beat: BeatEvent) -> PageState:
-    changes: dict[str, Any] = {}
-    for name in ("speed_m_s", "amplitude_rad"):
-        old: tuple[float | None, ...] = getattr(now, name)
-        value = getattr(beat, name)
-        if 0 <= beat.beat < len(old) and value is not None:
-            changes[name] = (*old[: beat.beat], value, *old[beat.beat + 1 :])
-    return replace(now, **changes)
-
-
-def _assessment(event: Assessed) -> str:
-    if event.stop:
-        return f"{event.words} Stop: {event.stop_reason}. {event.advice}"
-    return f"{event.words} {event.saturation}" if event.saturation else event.words
-
-
-class Screen:
-    """The snapshot that is shown. Any thread may look; only the worker's changes it, so that
-    snapshots do not overtake each other."""
-
-    def __init__(self) -> None:
-        self.now = PageState()
-        self._changed = threading.Condition()
-
-    def show(self, snapshot: PageState) -> None:
-        """From now on."""
-        with self._changed:
-            self.now = replace(snapshot, serial=self.now.serial + 1)
-            self._changed.notify_all()
-
-    def set(self, **changes: Any) -> None:
-        """Likewise; the rest stays."""
-        self.show(replace(self.now, **changes))
-
-    def say(self, text: str) -> None:
-        """One line more in the log."""
-        self.show(logged(self.now, text, clock()))
-
-    def trouble(self, error: Exception) -> None:
-        """What is wrong, with what to do."""
-        words = str(error) if isinstance(error, TailbeatError) else reason(error)
-        is_new = (words := from_the_page(words)) != self.now.problem
-        self.set(problem=words)
-        if is_new:
-            self.say(words)
-
-    def wait(self, until: Callable[[PageState], bool], patience_s: float = 10.0) -> PageState:
-        """The first snapshot for which ``until`` holds. Raises TimeoutError."""
-        with self._changed:
-            if not self._changed.wait_for(lambda: until(self.now), patience_s):
-                raise TimeoutError(f"still {self.now}")
-            return self.now
-
-
-def clock() -> str:
-    """The time in the log."""
-    return datetime.now().strftime("%H:%M:%S")
-
-
-def from_the_page(words: str) -> str:
-    """Commands need the port that the page holds."""
-    if "tailbeat session" not in words and "tailbeat params" not in words:
-        return words
-    return f"{words.rstrip('.')}. End this page first: Ctrl-C where tailbeat session web runs."
-
-
-def unexpected(error: Exception) -> str:
-    """What to do about an error in this package."""
-    return (
-        f"something went wrong that should not ({type(error).__name__}: {error})."
-        " Switch the fish off if its tail beats, start 'tailbeat session web' again and report "
-        "this."
-    )
-
+from tailbeat.session.events import StepProgress
+from tailbeat.session.outcome import Travel
 
 SILENT_S = 3.0
 _BATTERY_MARGIN_V = 0.3  # above BATT_LOW_V: one more trial, then the next battery
@@ -278,6 +60,12 @@ def steps_shown(now: PageState) -> tuple[StepProgress, ...]:
     return now.steps if now.phase in ("preflight", "countdown") else ()
 
 
+def guide_shown(now: PageState) -> tuple[GuideStep, ...]:
+    """All steps while the guided job is under way, then what it ended with: START stays in
+    sight."""
+    return now.guide if now.phase != "idle" else now.guide[-1:]
+
+
 def live_line(now: PageState) -> str:
     """The last beat that is known, while it swims."""
     beat = max((k for k, v in enumerate(now.speed_m_s) if v is not None), default=None)
@@ -310,7 +98,7 @@ def next_line(now: PageState) -> str:
     if now.pending is not None and now.phase == "idle":
         return f"Trial {now.pending} waits: START asks what becomes of it first."
     if not now.reference_m_s:
-        return "The board has no reference yet: give it one below, then swim."
+        return "The board has no reference yet: START gives it the thesis's; another one: below."
     line = f"START: trial {now.next_trial}, iteration {max(now.iteration, 1)}"
     if now.phase not in ("idle", "connecting"):
         return ""

@@ -13,29 +13,38 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tailbeat.app.web import view
-from tailbeat.app.web.inbox import Ask, Asks
+from tailbeat.app.web import state, view
+from tailbeat.app.web.inbox import Ask, Asks, Commission
+from tailbeat.app.web.operator import PageOperator
+from tailbeat.app.web.picture import LastPicture
+from tailbeat.app.web.state import PageState, Phase, Screen
 from tailbeat.app.web.trials import PageTrials
-from tailbeat.app.web.view import PageState, Phase, Screen
 from tailbeat.board.fish import Fish
 from tailbeat.board.provision import connect_notice
 from tailbeat.core.errors import ConnectError, LinkLostError, TailbeatError
 from tailbeat.core.records import decode_reference
 from tailbeat.core.reference import Reference
-from tailbeat.core.speed_source import Camera
+from tailbeat.core.speed_source import Camera, Frame
+from tailbeat.experiment.current import set_and_save
 from tailbeat.experiment.library import library_of
 from tailbeat.link.mavlink import Message
-from tailbeat.link.messages import BeatEvent, BoardStatus, LearnReport, imu_health
+from tailbeat.link.messages import BeatEvent, BoardStatus, imu_health
 from tailbeat.link.stream import StreamAddress, streaming
-from tailbeat.session.events import Event, TrialDecided
-from tailbeat.session.guards import Guard
+from tailbeat.session.events import StepEnded
+from tailbeat.session.guards import Guard, all_guards
+from tailbeat.session.health import check_health
+from tailbeat.session.limit import AMP_MAX, require_tried
+from tailbeat.session.next_law import LawName
 from tailbeat.session.options import Options, Until
-from tailbeat.session.outcome import KINDS, Decision, RecordedTrial
+from tailbeat.session.outcome import KINDS
 from tailbeat.session.preflight_step import PreflightLimits
-from tailbeat.session.series import run_series
+from tailbeat.session.proposals import Trials
+from tailbeat.session.series import SeriesEnd
+from tailbeat.session.start import StartOptions, run_start
 from tailbeat.session.travel import travel_next
 from tailbeat.session.trial_camera import camera_of
 
@@ -63,13 +72,14 @@ class Worker:
     what was wrong in ``now.problem`` meanwhile. ``root``: of new experiments. ``open_camera`` opens
     the camera for each series. ``limits``: of the preflight checks. ``look_s``: how long a
     request may lie; ``retry_s``: between two tries to connect. ``stream``: where what the board
-    reports is sent."""
+    reports is sent. ``picture``: the camera's last one, if it takes any."""
 
     connect: Callable[[], Fish]
     root: Path
     open_camera: OpenCamera = simulated_camera
     limits: PreflightLimits = field(default_factory=PreflightLimits)
     stream: StreamAddress | None = None
+    picture: LastPicture | None = None
     wall_s: Callable[[], float] = time.monotonic
     look_s: float = 0.05
     retry_s: float = 1.0
@@ -77,11 +87,16 @@ class Worker:
     def __post_init__(self) -> None:
         self._asks = Asks()
         self.screen = Screen()
+        self.screen.set(pictures=self.picture is not None)
         self.trials = PageTrials(self.root, self.screen)
         self._requests: dict[str, Callable[..., object]] = {
             "swim": self._swim,
             "upload": self._upload,
             "clear": self._clear,
+            "params": self._read_params,
+            "set": self._set,
+            "health": self._health,
+            "report": lambda fish: self.trials.report(),
             "note": lambda fish, text, at: self.trials.note(text, at),
         }
         self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
@@ -100,13 +115,19 @@ class Worker:
         self._thread.start()
 
     def ask(self, what: str, **values: Any) -> None:
-        """``swim`` {until, preflight}, ``abort``, ``decide`` {kind, reason}, ``answer`` {yes},
-        ``upload`` {reference}, ``note`` {text}, ``clear``. Never blocks; what came of it is in
+        """``swim`` {until, preflight, law, commission}, ``abort``, ``decide`` {kind, reason},
+        ``answer`` {yes, typed}, ``upload`` {reference}, ``note`` {text}, ``clear``, ``params``,
+        ``set`` {name, value}, ``health``, ``report``. Never blocks; what came of it is in
         ``now``. ``abort`` overtakes everything. Raises InputError for what makes no sense now."""
         if what == "abort":
             self._asks.want_abort()
             return
         self._asks.offer(Ask.of(what, values))
+
+    @property
+    def wants_abort(self) -> bool:
+        """Whether somebody wants the tail to stop."""
+        return self._asks.abort
 
     def silent_s(self) -> float | None:
         """Since when the board has said nothing; None = it has not been heard yet."""
@@ -118,7 +139,7 @@ class Worker:
         if self._thread.is_alive():
             self._thread.join(_END_S)
 
-    def _phase(self, phase: Phase, *open_: str, **changes: Any) -> None:
+    def set_phase(self, phase: Phase, *open_: str, **changes: Any) -> None:
         """What is shown first, then what may be asked: nobody is offered what is refused."""
         dropped = self._asks.open(*open_)
         self.screen.set(phase=phase, **changes)
@@ -134,11 +155,11 @@ class Worker:
             except Closed:
                 break
             except (TailbeatError, OSError) as error:
-                self._phase("connecting", state="", step="", left_s=None)
+                self.set_phase("connecting", state="", step="", left_s=None)
                 self.screen.trouble(error)
             except Exception as error:
                 _log.exception("the page's thread has failed")
-                self._phase("failed", problem=view.unexpected(error))
+                self.set_phase("failed", problem=state.unexpected(error))
                 return
             self._asks.wait_closed(self.retry_s)
 
@@ -161,7 +182,7 @@ class Worker:
         self._heard()
         self._restarted = False
         self.screen.show(
-            view.by_status(
+            state.by_status(
                 replace(
                     self.now,
                     connection=info.connection,
@@ -174,13 +195,13 @@ class Worker:
             )
         )
         self._look_at_imu(fish)
-        self._look_at_reference(fish)
+        self.look_at_reference(fish)
         self.trials.find(fish)
         self._look_ahead(fish)
         self.screen.say(f"connected to {info.connection}")
         if line := connect_notice(fish):
             self.screen.say(line)
-        self._phase("idle", *self._requests)
+        self.set_phase("idle", *self._requests)
 
     def _idle(self, fish: Fish) -> None:
         """One look at the link and at what is asked for."""
@@ -212,10 +233,18 @@ class Worker:
     def _settled(self, fish: Fish) -> None:
         """How things stand after something was done."""
         with contextlib.suppress(LinkLostError):
-            self.screen.show(view.by_status(self.now, fish.status()))
+            self.screen.show(state.by_status(self.now, fish.status()))
+            self.look_at_reference(fish)
             self._look_ahead(fish)
-        self._phase(
-            "idle", *self._requests, step="", steps=(), left_s=None, recorded=None, question=""
+        self.set_phase(
+            "idle",
+            *self._requests,
+            step="",
+            steps=(),
+            left_s=None,
+            recorded=None,
+            question="",
+            number=None,
         )
 
     def _clear(self, fish: Fish) -> None:
@@ -224,7 +253,7 @@ class Worker:
 
     def _upload(self, fish: Fish, reference: Reference) -> None:
         self.trials.upload(fish, reference)
-        self._look_at_reference(fish)
+        self.look_at_reference(fish)
         self.trials.find(fish)
 
     def _stop_tail(self, fish: Fish) -> None:
@@ -249,11 +278,11 @@ class Worker:
             status = BoardStatus.of(message)
             self._restarted |= status.time_s < self._board_s
             self._board_s = status.time_s
-            self.screen.show(view.by_status(self.now, status))
+            self.screen.show(state.by_status(self.now, status))
         elif kind == "TAILBEAT_HEALTH":
             self._imu_changed |= bool(message.imu_health) == bool(self.now.imu_well)
         elif kind == "TAILBEAT_BEAT" and self.now.phase != "connecting":
-            self.screen.show(view.by_beat(self.now, BeatEvent.of(message)))
+            self.screen.show(state.by_beat(self.now, BeatEvent.of(message)))
 
     def _look_at_imu(self, fish: Fish) -> None:
         """Its state, and what the board has counted of it."""
@@ -265,18 +294,17 @@ class Worker:
         words = " ".join(faults) or f"{info.model or 'the IMU'} streams as it should"
         self.screen.set(imu=words, imu_well=not faults)
 
-    def _look_at_reference(self, fish: Fish) -> None:
+    def look_at_reference(self, fish: Fish) -> None:
         record = fish.reference_record()
         params = fish.params.values("AMP_MAX_RAD", "BATT_LOW_V")
         found = decode_reference(record) if record is not None else None
         speeds = tuple(map(float, found.speed_m_s)) if found else ()
-        none = (None,) * len(speeds)
+        if speeds != self.now.reference_m_s:
+            none = (None,) * len(speeds)
+            self.screen.set(speed_m_s=none, amplitude_rad=none, trial=None)
         self.screen.set(
             reference_m_s=speeds,
             beat_s=found.beat_s if found else 1.0,
-            speed_m_s=none,
-            amplitude_rad=none,
-            trial=None,
             amplitude_max_rad=params["AMP_MAX_RAD"],
             battery_low_v=params["BATT_LOW_V"],
         )
@@ -284,36 +312,98 @@ class Worker:
     def _look_ahead(self, fish: Fish) -> None:
         """How far the trial that START begins will come."""
         try:
-            travel = ""
+            travel, room_m = "", None
             if self.now.reference_m_s:
-                travel = view.travel_line(travel_next(fish, library_of(fish)))
+                found = travel_next(fish, library_of(fish))
+                travel, room_m = view.travel_line(found), found.room_m
         except LinkLostError:
             raise
         except TailbeatError as error:
-            travel = str(error)
+            travel, room_m = str(error), None
         limit = fish.params.get("AMP_MAX_RAD").value
-        self.screen.set(travel=travel, amplitude_max_rad=limit)
+        self.screen.set(travel=travel, room_m=room_m, amplitude_max_rad=limit)
 
     # A series.
 
-    def _swim(self, fish: Fish, until: Until, preflight: bool) -> None:
-        options = Options(until, self.limits if preflight else None, counts=KINDS)
-        experiment = self.trials.for_series(fish)
+    def _swim(
+        self, fish: Fish, until: Until, preflight: bool, law: LawName, commission: Commission
+    ) -> None:
+        """Trials; with ``commission`` the whole guided job."""
         self._asks.open("note")
-        self.screen.set(steps=(), phase="preflight" if preflight else "working")
+        self.screen.set(
+            steps=(), guide=(), diagnosis="", phase="preflight" if preflight else "working"
+        )
+        limits = self.limits if preflight else None
+        options = Options(until, limits, counts=KINDS, law=law, proposes=True)
         try:
             with self.open_camera(fish) as (camera, guard):
-                end = run_series(fish, experiment, PageOperator(self, fish), options, camera, guard)
+                end = self._run_series(fish, options, commission, camera, self._seen_by(guard))
         finally:
             self.trials.refresh()
-        self.screen.say(end.words)
+        if end is None:
+            return
+        if commission != "never":
+            PageOperator(self, fish).tell(StepEnded("trials", end.why != "stopped", end.words))
+        else:
+            self.screen.say(end.words)
         if end.why == "stopped":
-            self.screen.set(problem=view.from_the_page(end.words))
+            self.screen.set(problem=state.from_the_page(end.words))
+        if commission != "never" and end.rounds:
+            self.trials.report()
 
-    def _answered(self, fish: Fish, kind: str, **shown: Any) -> Ask:
+    def _run_series(
+        self,
+        fish: Fish,
+        options: Options,
+        commission: Commission,
+        camera: Camera | None,
+        guard: Guard,
+    ) -> SeriesEnd | None:
+        """None: the guided job ended before its trials, as the page shows."""
+        operator = PageOperator(self, fish)
+        if commission == "never":
+            place = partial(self.trials.for_series, fish)
+            return Trials(fish, operator, options, place, camera, guard).run()[0]
+        asked = StartOptions(series=options, anew=commission == "anew")
+        place = partial(self.trials.for_series, fish)
+        end = run_start(fish, operator, asked, place, camera, guard)
+        if end.series is None:
+            self.screen.set(problem=state.from_the_page(end.steps[-1].words))
+        return end.series
+
+    def _seen_by(self, guard: Guard | None) -> Guard:
+        """Also shows where the fish is."""
+
+        def see(seen: object) -> None:
+            if isinstance(seen, Frame):
+                shown = state.by_place(self.now, (seen.x_m, seen.y_m))
+                if shown is not self.now:
+                    self.screen.show(shown)
+
+        return all_guards(guard, see)
+
+    def _health(self, fish: Fish) -> None:
+        with self.open_camera(fish) as (camera, _):
+            operator = PageOperator(self, fish)
+            operator.tell(check_health(fish, camera, operator, "Check the fish's health", False))
+
+    def _read_params(self, fish: Fish) -> None:
+        self.screen.set(params=tuple(fish.params.list().values()))
+
+    def _set(self, fish: Fish, name: str, value: float) -> None:
+        """A larger amplitude limit only as far as a run went without a fault."""
+        if name == AMP_MAX:
+            require_tried(fish, value)
+        set_and_save(fish, {name: value})
+        self.look_at_reference(fish)
+        if self.now.params:
+            self._read_params(fish)
+        self.screen.say(f"{name} = {value:g}, saved")
+
+    def answered(self, fish: Fish, kind: str, **shown: Any) -> Ask:
         """Waits for an answer; the link is kept meanwhile, as far as there is one. ABORT says no; a
         trial has still to be decided on."""
-        self._phase("deciding" if kind == "decide" else "asking", kind, "note", **shown)
+        self.set_phase("deciding" if kind == "decide" else "asking", kind, "note", **shown)
         while not self._asks.closed:
             patience_s = self.look_s if fish.sim is not None else 0.0
             try:
@@ -324,44 +414,7 @@ class Worker:
             while (note := self._asks.take("note")) is not None:
                 self.trials.note(**note.values)
             if kind == "answer" and self._asks.abort:
-                return Ask(kind, {"yes": False})
+                return Ask(kind, {"yes": False, "typed": ""})
             if (ask := self._asks.take(kind)) is not None:
                 return ask
         raise Closed("the page was closed.", "The trial waits on the board.")
-
-
-@dataclass(frozen=True)
-class PageOperator:
-    """The operator at a browser."""
-
-    worker: Worker
-    fish: Fish
-
-    def tell(self, event: Event) -> None:
-        """Shown at once."""
-        worker = self.worker
-        worker.screen.show(view.after(worker.now, event, view.clock()))
-        match event:
-            case LearnReport() | TrialDecided(_, Decision("repeat" | "discard")):
-                worker.trials.refresh()
-
-    def wants_abort(self) -> bool:
-        """The flag itself."""
-        return self.worker._asks.abort
-
-    def decide(self, recorded: RecordedTrial) -> Decision:
-        """Whoever decides first decides."""
-        self.worker.trials.refresh()
-        ask = self.worker._answered(self.fish, "decide", recorded=recorded, step="", left_s=None)
-        self.worker._phase("working", "note", recorded=None, steps=())
-        return Decision(ask.values["kind"], ask.values["reason"])
-
-    def confirm(self, question: str) -> bool:
-        """Likewise."""
-        ask = self.worker._answered(self.fish, "answer", question=question)
-        self.worker._phase("working", "note", question="")
-        return bool(ask.values["yes"])
-
-    def number(self, question: str, value: float) -> float | None:
-        """As a question."""
-        return value if self.confirm(f"{question} {value:g}") else None

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tailbeat.app.web.access import ABORTED, Guarded, Request, Rules, is_loopback, new_token
-from tailbeat.app.web.page import reference_of_csv, reference_of_text
+from tailbeat.app.web.cards import reference_of_csv, reference_of_text
 from tailbeat.app.web.server import reached_at
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import thesis

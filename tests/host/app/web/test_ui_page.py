@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from tailbeat.app.web import page, view
-from tailbeat.app.web.view import LOG_LINES, PageState, after, logged
+from tailbeat.app.web import charts, state, view
+from tailbeat.app.web.state import LOG_LINES, PageState, TrialCurve, after, logged
 from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.events import StepProgress, TrialStarted
+from tailbeat.session.events import StepBegun, StepEnded, StepProgress, TrialStarted
 
 NOW = PageState(
     phase="idle",
@@ -43,18 +43,18 @@ def row(trial: int, error_m_s: float, decision: str = "keep", **other: object) -
 
 
 def test_what_was_not_measured_is_a_gap() -> None:
-    reference, measured = page.speed_chart(NOW)["series"]
+    reference, measured = charts.speed_chart(NOW)["series"]
     assert reference["data"] == [10.0, 50.0, 70.0, 50.0]
     assert measured["data"] == [0.0, 40.0, None, None]
 
 
 def test_a_speed_beyond_the_reference_stays_in_the_picture() -> None:
     fast = replace(NOW, speed_m_s=(0.0, 0.2, None, None))
-    assert page.speed_chart(fast)["yAxis"]["max"] >= 200
+    assert charts.speed_chart(fast)["yAxis"]["max"] >= 200
 
 
 def test_amplitudes_in_degrees_under_their_limit() -> None:
-    options = page.amplitude_chart(NOW)
+    options = charts.amplitude_chart(NOW)
     (bars,) = options["series"]
     assert bars["data"] == [5.73, 17.19, None, None]
     assert bars["markLine"]["data"][0]["yAxis"] == pytest.approx(math.degrees(0.5), abs=1e-3)
@@ -63,7 +63,7 @@ def test_amplitudes_in_degrees_under_their_limit() -> None:
 
 def test_the_error_axis_holds_every_error_and_the_error_bound() -> None:
     rows = (row(1, 0.073), row(2, 0.0433), row(3, 0.0121, "discard"), row(4, math.nan))
-    options = page.error_chart(replace(NOW, rows=rows, error_bound_m_s=0.0107))
+    options = charts.error_chart(replace(NOW, rows=rows, error_bound_m_s=0.0107))
     kept, dropped = options["series"]
     assert kept["data"] == [[1, 73.0], [2, 43.3]]
     assert dropped["data"] == [[3, 12.1]]
@@ -72,15 +72,85 @@ def test_the_error_axis_holds_every_error_and_the_error_bound() -> None:
     assert axis["min"] < 10.7 < 73.0 < axis["max"]
     assert all(math.log2(axis[end]).is_integer() for end in ("min", "max"))
     assert kept["markLine"]["data"][0]["yAxis"] == pytest.approx(10.7)
-    without = page.error_chart(replace(NOW, rows=rows, error_bound_m_s=math.nan))
+    without = charts.error_chart(replace(NOW, rows=rows, error_bound_m_s=math.nan))
     assert "markLine" not in without["series"][0]
 
 
 def test_lines_differ_in_grey() -> None:
     """By dashes or marks, not only by colour."""
-    reference, measured = page.speed_chart(NOW)["series"]
+    reference, measured = charts.speed_chart(NOW)["series"]
     assert reference["lineStyle"]["type"] != measured["lineStyle"].get("type", "solid")
     assert reference["symbol"] != measured["symbol"]
+
+
+def curve(trial: int, **other: object) -> TrialCurve:
+    made = TrialCurve(
+        trial, trial, NOW.reference_m_s, (0.0, 0.04, 0.06, None), (0.1, 0.5, 0.5, 0.2),
+        (False, True, True, False),
+    )  # fmt: skip
+    return replace(made, **other)  # type: ignore[arg-type]
+
+
+def test_earlier_trials_lie_under_the_present_one() -> None:
+    """Those along the same reference, and not the trial itself."""
+    other = curve(2, reference_m_s=(0.02,) * 4)
+    now = replace(NOW, trial=3, curves=(curve(1), other, curve(3)))
+    assert [one["name"] for one in charts.speed_chart(now)["series"]] == [
+        "reference", "trial 1", "measured",
+    ]  # fmt: skip
+
+
+def test_the_error_of_each_beat_with_what_spoils_it() -> None:
+    now = replace(
+        NOW, trial=3, speed_m_s=curve(3).speed_m_s, curves=(curve(3),), error_bound_m_s=0.012
+    )
+    options = charts.beat_error_chart(now)
+    bars, limit, missing = options["series"]
+    assert bars["data"] == [10.0, 10.0, 10.0, None]
+    assert (limit["data"], missing["data"]) == ([[1, 10.0], [2, 10.0]], [[3, 0]])
+    assert [line["yAxis"] for line in bars["markLine"]["data"]] == [12.0, -12.0]
+    assert options["yAxis"]["max"] >= 12.0 and options["yAxis"]["min"] <= -12.0
+    under_way = replace(NOW, phase="swimming", speed_m_s=(None,) * 4)
+    assert len(charts.beat_error_chart(under_way)["series"]) == 1, "what comes is not missing"
+
+
+def test_the_tank_holds_walls_path_and_room() -> None:
+    walls = ((-0.1, -0.5), (3.0, -0.5), (3.0, 0.5), (-0.1, 0.5))
+    now = replace(NOW, track=((0.2, 0.0), (0.9, 0.05)), walls=walls, room_m=2.6)
+    options = charts.tank_chart(now)
+    names = [one["name"] for one in options["series"]]
+    assert names == ["walls", "path", "start", "fish"]
+    assert options["series"][1]["markLine"]["data"] == [{"xAxis": 2.8}]
+    assert options["series"][3]["data"] == [[0.9, 0.05]]
+    assert options["xAxis"]["min"] <= -0.1 and options["xAxis"]["max"] >= 3.0
+    assert options["yAxis"]["inverse"] and options["yAxis"]["max"] >= 0.5
+    assert charts.tank_chart(NOW)["series"][0]["data"] == []
+
+
+def test_the_path_forgets_what_hardly_differs() -> None:
+    now = state.by_place(NOW, (0.0, 0.0))
+    assert state.by_place(now, (0.001, 0.001)) is now
+    assert state.by_place(now, (0.01, 0.0)).track == ((0.0, 0.0), (0.01, 0.0))
+    assert after(state.by_place(now, (0.01, 0.0)), TrialStarted(4, 3), "12:00:00").track == ()
+
+
+def test_two_trials_over_each_other() -> None:
+    options = charts.compare_chart(curve(1), curve(3))
+    assert [one["name"] for one in options["series"]] == ["reference", "trial 1", "trial 3"]
+    first, second = options["series"][1:]
+    assert first["symbol"] != second["symbol"] and first["lineStyle"] != second["lineStyle"]
+    assert charts.compare_chart(None, None)["series"] == []
+
+
+def test_steps_of_the_guided_job() -> None:
+    now = after(NOW, StepBegun(1, 5, "health", "is it well?", "seconds"), "12:00:00")
+    assert [(one.name, one.done) for one in now.guide] == [("health", None)]
+    now = after(now, StepEnded("health", True, "well"), "12:00:01")
+    now = after(now, StepBegun(2, 5, "commission", "get to know it", "6 min"), "12:00:02")
+    now = after(now, StepEnded("tank", False, "no room"), "12:00:03")
+    assert [(one.name, one.done) for one in now.guide] == [
+        ("health", True), ("commission", True), ("tank", False),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from tailbeat.app.web.inbox import Ask, Asks
-from tailbeat.app.web.view import PageState
+from tailbeat.app.web.state import PageState
 from tailbeat.app.web.worker import Worker, simulated_camera
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError
@@ -230,7 +230,7 @@ def test_abort_says_no_to_a_question(ready: Tank, monkeypatch: pytest.MonkeyPatc
         answers.append(operator.confirm("go on?"))
         return SeriesEnd("stopped", "not now.", [], None)
 
-    monkeypatch.setattr("tailbeat.app.web.worker.run_series", series)
+    monkeypatch.setattr("tailbeat.session.proposals.run_series", series)
     ready.worker.ask("swim", preflight=False)
     ready.wait(lambda now: now.phase == "asking" and now.question == "go on?")
     done = ready.worker.now.done

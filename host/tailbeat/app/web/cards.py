@@ -1,0 +1,291 @@
+"""The cards on which something is chosen or looked up: reference, limit, parameters, notes,
+comparison, report, log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from nicegui import events, ui
+
+from tailbeat.app.web import charts, parts
+from tailbeat.app.web.parts import Choice, Live, titled, warn
+from tailbeat.app.web.state import LOG_LINES, PageState
+from tailbeat.core.errors import InputError
+from tailbeat.core.reference import Reference, from_csv, from_text
+from tailbeat.link.params import Parameter
+from tailbeat.session.limit import AMP_MAX
+
+_SHAPES = ("thesis", "trapezoid", "cosine")
+_CSV_BYTES_MAX = 1_000_000
+
+
+def reference_of_text(text: str) -> Reference:
+    """A shape by its name. Never a file of this computer: whoever looks at the page gave it."""
+
+    words = text.strip()
+    kind, _, numbers = words.partition(":")
+    if kind not in _SHAPES or (not numbers and words != "thesis"):
+        raise InputError(
+            f"'{words}' is no reference.",
+            "Write thesis, thesis:SPEED,SECONDS, trapezoid:SPEED,RAMP,HOLD or"
+            " cosine:SPEED,RAMP,HOLD (m/s and s), or choose a CSV file.",
+        )
+    return from_text(words)
+
+
+def reference_of_csv(name: str, content: bytes) -> Reference:
+    """The columns t_s,v_m_s of a file that was sent."""
+
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / (Path(name).name or "reference.csv")
+        path.write_bytes(content)
+        return from_csv(path)
+
+
+class ReferenceCard:
+    """Another reference: by its name or as a file."""
+
+    def __init__(self, live: Live) -> None:
+        self._live = live
+        self._chosen: Reference | None = None
+        self._is_known = False
+        with (
+            ui.element("section").classes("card reference"),
+            ui.expansion("Another reference: the speed to swim").props(
+                parts.UNFOLDED
+            ) as self._fold,
+        ):
+            ui.label(
+                "thesis; or trapezoid:0.06,8,20 = 0.06 m/s, 8 s up and down, 20 s between; or a CSV"
+                " file with the columns t_s,v_m_s. Learning begins anew."
+            ).classes("hint")
+            with ui.element("div").classes("line").style("width:100%"):
+                self._text = ui.input("Shape", value="thesis").props("outlined").classes("shape")
+                ui.button("Use it", on_click=self._by_text).classes("use").style("min-height:56px")
+            self._file()
+        with ui.dialog().props(parts.AT_ONCE) as self._sure, ui.card().classes("dialog"):
+            self._question = ui.label().style("line-height:1.4")
+            with ui.element("div").classes("choices").style("grid-template-columns:1fr 1fr"):
+                ui.button("Begin anew", on_click=self._use).classes("sure")
+                ui.button("Leave it", on_click=self._sure.close).props("outline")
+        live.follow(self._is_found, self._unfold)
+
+    def _is_found(self, now: PageState) -> bool:
+        self._is_known = self._is_known or now.phase not in ("connecting", "failed")
+        return self._is_known
+
+    def _unfold(self, is_found: bool) -> None:
+        """For a board without a reference, once it is known which this is."""
+        if is_found:
+            self._fold.set_value(not self._live.worker.now.reference_m_s)
+
+    def _file(self) -> None:
+        """Chosen in the browser itself: it opens its window of files only straight from a tap."""
+        upload = ui.upload(
+            auto_upload=True,
+            max_files=1,
+            max_file_size=_CSV_BYTES_MAX,
+            on_upload=self._by_file,
+            on_rejected=lambda: warn("that is no CSV file of less than 1 MB"),
+        )
+        upload.props("accept=.csv").classes("csv")
+        choose = ui.button("Choose a CSV file").props("outline").classes("choose")
+        choose.on("click", js_handler=f"() => getElement({upload.id}).$refs.qRef.pickFiles()")
+
+    def _by_text(self) -> None:
+        self._offer(lambda: reference_of_text(self._text.value or ""))
+
+    async def _by_file(self, upload: events.UploadEventArguments) -> None:
+        content = await upload.file.read()
+        self._offer(lambda: reference_of_csv(upload.file.name, content))
+        if isinstance(upload.sender, ui.upload):
+            upload.sender.reset()
+
+    def _offer(self, make: Callable[[], Reference]) -> None:
+        try:
+            self._chosen = make()
+        except InputError as error:
+            warn(str(error))
+            return
+        now = self._live.worker.now
+        if now.iteration == 0 or not now.reference_m_s:
+            self._use()
+            return
+        self._question.set_text(
+            f"The fish has learned for {now.iteration} iterations along its present reference."
+            " With another one the board begins from nothing; the trials so far stay as they are."
+        )
+        self._sure.open()
+
+    def _use(self) -> None:
+        self._sure.close()
+        if self._live.ask("upload", reference=self._chosen):
+            self._fold.set_value(False)
+
+
+def notes_card(live: Live) -> None:
+    """A line with its time for the experiment's notes."""
+    with titled("Note", "notes"):
+        ui.label("Water temperature, who helped, what was odd: kept with its time.").classes("hint")
+        with ui.element("div").classes("line"):
+            text = ui.input("What to remember").props("outlined").classes("note")
+
+            def add() -> None:
+                if live.ask("note", text=text.value or ""):
+                    text.set_value("")
+
+            text.on("keydown.enter", add)
+            ui.button("Add", on_click=add).classes("add").style("min-height:56px")
+
+
+def log_card(live: Live) -> None:
+    """What has happened, newest first: that is what is looked for."""
+    seen = 0
+
+    def show(log: tuple[int, tuple[str, ...]]) -> None:
+        """Adds what is new, and forgets the oldest."""
+        nonlocal seen
+        new, seen = log[0] - seen, log[0]
+        for text in log[1][-new:] if new > 0 else ():
+            with lines:
+                line = ui.label(text)
+            line.move(lines, 0)
+        for old in lines.default_slot.children[LOG_LINES:]:
+            lines.remove(old)
+
+    with titled("What happened"):
+        lines = ui.element("div").classes("log")
+    live.follow(lambda now: (now.logged, now.log), show)
+
+
+def limit_card(live: Live) -> None:
+    """The largest amplitude: lower at once, larger only as far as a run went."""
+    with titled("Amplitude limit", "limit"):
+        live.label(_limit_line, "hint")
+        with ui.element("div").classes("line"):
+            number = ui.input("rad").props("outlined inputmode=decimal").classes("limit-rad")
+            set_ = ui.button(
+                "Set", on_click=lambda: live.ask("set", name=AMP_MAX, value=number.value or "")
+            )
+            set_.props("outline").classes("set-limit tall")
+
+
+def _limit_line(now: PageState) -> str:
+    if now.amplitude_max_rad is None:
+        return "not known yet"
+    return (
+        f"The tail swings {now.amplitude_max_rad:.2f} rad at most. Type a number to change it:"
+        " a larger one is taken only as far as a run of this fish went."
+    )
+
+
+_SHOWN_MAX = 8
+
+
+class ParamsCard:
+    """All parameters: found by any part of name or meaning, set one by one."""
+
+    def __init__(self, live: Live) -> None:
+        self._live = live
+        with (
+            ui.element("section").classes("card params"),
+            ui.expansion("Parameters", on_value_change=self._unfold).props(parts.UNFOLDED),
+        ):
+            self._search = ui.input("Search name or meaning").props("outlined clearable")
+            self._search.classes("search").on_value_change(self._draw)
+            self._count = ui.label().classes("hint")
+            self._rows = ui.element("div").classes("param-rows")
+        live.follow(lambda now: now.params, lambda _: self._draw())
+
+    def _unfold(self, change: events.ValueChangeEventArguments[bool]) -> None:
+        if change.value and not self._live.worker.now.params:
+            self._live.ask("params")
+
+    def _draw(self) -> None:
+        params = self._live.worker.now.params
+        wanted = str(self._search.value or "").lower().split()
+        found = [p for p in params if all(w in f"{p.name} {p.text}".lower() for w in wanted)]
+        shown = found[:_SHOWN_MAX]
+        more = f"{len(shown)} of {len(found)} shown; type to find others" if params else "..."
+        self._count.set_text(more)
+        self._rows.clear()
+        with self._rows:
+            for param in shown:
+                self._row(param)
+
+    def _row(self, param: Parameter) -> None:
+        unit = f" ({param.unit})" if param.unit else ""
+        with ui.element("div").classes("param"):
+            ui.label(f"{param.name}{unit}").classes("param-name")
+            ui.label(f"{param.text}; default {param.default:g}").classes("hint")
+            with ui.element("div").classes("line"):
+                value = ui.input(param.name, value=f"{param.value:.7g}").props("outlined")
+                set_ = ui.button("Set").props(f'outline aria-label="Set {param.name}"')
+                set_.classes("tall").on_click(
+                    lambda: self._live.ask("set", name=param.name, value=value.value or "")
+                )
+
+
+class CompareCard:
+    """Two trials over each other."""
+
+    def __init__(self, live: Live) -> None:
+        self._live = live
+        with titled("Compare two trials", "compare"):
+            with ui.element("div").classes("two"):
+                self._one = Choice("First", {"": "none yet"}, self._draw)
+                self._other = Choice("Second", {"": "none yet"}, self._draw)
+            self._words = ui.label().classes("hint")
+            self._chart = ui.echart(charts.compare_chart(None, None))
+            self._chart.classes("chart live compare-chart").props(
+                'role=img aria-label="Speeds of two trials"'
+            )
+        live.follow(lambda now: tuple(curve.trial for curve in now.curves), self._offer)
+
+    def _offer(self, trials: tuple[int, ...]) -> None:
+        """The best and the last, until somebody chooses."""
+        names = {str(number): f"trial {number}" for number in reversed(trials)}
+        rows = [row for row in self._live.worker.now.rows if row.trial in trials and row.counts]
+        best = min(rows, key=lambda row: row.max_abs_error_m_s, default=None)
+        self._one.offer(names or {"": "none yet"}, str(best.trial) if best is not None else "")
+        self._other.offer(names or {"": "none yet"}, str(trials[-1]) if trials else "")
+        self._draw()
+
+    def _draw(self) -> None:
+        now = self._live.worker.now
+        curves = {str(curve.trial): curve for curve in now.curves}
+        chosen = [curves.get(one.value) for one in (self._one, self._other)]
+        errors = {str(row.trial): row.max_abs_error_m_s * 1e3 for row in now.rows}
+        words = [
+            f"trial {one.value}: largest error {errors[one.value]:.1f} mm/s"
+            for one in (self._one, self._other)
+            if one.value in errors
+        ]
+        self._words.set_text("; ".join(words))
+        show_chart(self._chart, charts.compare_chart(*chosen))
+
+
+def show_chart(chart: ui.echart, options: charts.Options) -> None:
+    """Other options for it."""
+    chart.options.clear()
+    chart.options.update(options)
+    chart.update()
+
+
+def report_card(live: Live) -> None:
+    """The experiment's report, once it is written."""
+    with titled("Report", "report"):
+        ui.label("Figures and tables of all trials of this experiment, to keep or print.").classes(
+            "hint"
+        )
+        with ui.element("div").classes("two"):
+            write = ui.button("Write the report", on_click=lambda: live.ask("report"))
+            write.props("outline").classes("write-report")
+            with ui.element("a").classes("file open-report") as link:
+                ui.label("Open the report")
+            link.props('href="/report" target="_blank" rel="noopener"')
+    live.follow(lambda now: bool(now.rows) and now.phase == "idle", write.set_enabled)
+    live.follow(lambda now: now.reported > 0, link.set_visibility)

@@ -1,0 +1,87 @@
+"""The operator of a session whose answers come from a browser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from tailbeat.app.web import state
+from tailbeat.app.web.inbox import Ask
+from tailbeat.app.web.state import PageState, Phase, Screen
+from tailbeat.app.web.trials import PageTrials
+from tailbeat.board.fish import Fish
+from tailbeat.link.messages import LearnReport
+from tailbeat.session.events import Event, StepEnded, TrialDecided
+from tailbeat.session.outcome import Decision, RecordedTrial
+
+
+class Desk(Protocol):
+    """What the operator needs of the worker."""
+
+    screen: Screen
+    trials: PageTrials
+
+    @property
+    def now(self) -> PageState: ...
+
+    @property
+    def wants_abort(self) -> bool: ...
+
+    def answered(self, fish: Fish, kind: str, **shown: Any) -> Ask:
+        """Waits for an answer; the link is kept meanwhile."""
+
+    def set_phase(self, phase: Phase, *open_: str, **changes: Any) -> None:
+        """What is shown first, then what may be asked."""
+
+    def look_at_reference(self, fish: Fish) -> None:
+        """The board has another one."""
+
+
+@dataclass(frozen=True)
+class PageOperator:
+    """The operator at a browser."""
+
+    worker: Desk
+    fish: Fish
+
+    def tell(self, event: Event) -> None:
+        """Shown at once."""
+        worker = self.worker
+        worker.screen.show(state.after(worker.now, event, state.clock()))
+        match event:
+            case LearnReport() | TrialDecided(_, Decision("repeat" | "discard")):
+                worker.trials.refresh()
+            case StepEnded(name="reference", done=True):
+                worker.look_at_reference(self.fish)
+
+    def wants_abort(self) -> bool:
+        """The flag itself."""
+        return self.worker.wants_abort
+
+    def decide(self, recorded: RecordedTrial) -> Decision:
+        """Whoever decides first decides."""
+        self.worker.trials.refresh()
+        ask = self.worker.answered(self.fish, "decide", recorded=recorded, step="", left_s=None)
+        self.worker.set_phase("working", "note", recorded=None, steps=())
+        return Decision(ask.values["kind"], ask.values["reason"])
+
+    def confirm(self, question: str) -> bool:
+        """Likewise."""
+        ask = self.worker.answered(self.fish, "answer", question=question)
+        self.worker.set_phase("working", "note", question="")
+        return bool(ask.values["yes"])
+
+    def number(self, question: str, value: float) -> float | None:
+        """What is typed below the question; a plain yes is none."""
+        worker = self.worker
+        words = f"{question} {value:g}."
+        ask = worker.answered(self.fish, "answer", question=words, number=value)
+        worker.set_phase("working", "note", question="", number=None)
+        return _number_of(ask.values["typed"]) if ask.values["yes"] else None
+
+
+def _number_of(text: str) -> float | None:
+    try:
+        return float(text.strip().replace(",", "."))
+    except ValueError:
+        return None

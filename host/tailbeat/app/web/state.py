@@ -1,0 +1,302 @@
+"""What there is to see at one moment, and how what is told changes it. No web toolkit, no fish."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Any, Literal
+
+from tailbeat.core.errors import TailbeatError, reason
+from tailbeat.core.printable import printable
+from tailbeat.experiment.trial_rows import TrialRow
+from tailbeat.link.messages import BeatEvent, BoardStatus
+from tailbeat.link.params import Parameter
+from tailbeat.session.events import (
+    Assessed,
+    Countdown,
+    Event,
+    InputChosen,
+    LiveValues,
+    StepBegun,
+    StepEnded,
+    StepProgress,
+    TrialDiagnosed,
+    TrialStarted,
+)
+from tailbeat.session.outcome import RecordedTrial
+from tailbeat.session.presenter import input_text, log_line, result
+
+Phase = Literal[
+    "connecting", "idle", "working", "preflight", "countdown", "swimming", "deciding", "asking",
+    "failed",
+]  # fmt: skip
+MOVING: tuple[Phase, ...] = ("preflight", "countdown", "swimming")
+"""Phases in which the tail beats or is about to."""
+
+STOPPED = ("ABORTED", "FAULT")
+LOG_LINES = 200
+_TRACK_POINTS = 400
+_TRACK_STEP_M = 0.004
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class GuideStep:
+    """A step of the guided job; ``done`` None: under way."""
+
+    name: str
+    words: str
+    done: bool | None = None
+
+
+@dataclass(frozen=True)
+class TrialCurve:
+    """Beat by beat, None = not measured, or not executed."""
+
+    trial: int
+    iteration: int
+    reference_m_s: tuple[float, ...]
+    speed_m_s: tuple[float | None, ...]
+    amplitude_rad: tuple[float | None, ...]
+    saturated: tuple[bool, ...]
+
+
+@dataclass(frozen=True)
+class PageState:
+    """What the page shows. ``serial`` grows with every change. ``reference_m_s``, ``speed_m_s``,
+    ``amplitude_rad``: of the trial under way or the last one, one per beat, None for what is not
+    known. ``next_trial``, ``iteration``, ``travel``: of the trial that START begins. ``pending``: a
+    trial that waits on the board. ``problem``: one line for a person, with what to do. ``fault``:
+    why the board stopped, likewise; empty = it has not. ``logged``: lines since the beginning, of
+    which ``log`` holds the last. ``done``: how many wishes have been dealt with. ``guide``: of the
+    guided job, ``law`` and ``diagnosis`` in words. ``track``: where the camera saw the fish, from
+    the start of the trial, x ahead and y to the right; ``walls``: corners of the tank likewise;
+    ``room_m``: how far ahead it may swim. ``curves``: of the trials in ``rows``. ``params``: empty
+    = not read yet. ``number``: that a question wants typed. ``reported``: counts the reports;
+    ``pictures``: whether there is a camera's picture."""
+
+    serial: int = 0
+    phase: Phase = "connecting"
+    connection: str = ""
+    simulated: bool = False
+    board: str = ""
+    unique_id: str = ""
+    state: str = ""
+    battery_v: float | None = None
+    battery_low_v: float = 0.0
+    imu: str = ""
+    imu_well: bool | None = None
+    experiment: str = ""
+    iteration: int = 0
+    next_trial: int | None = None
+    pending: int | None = None
+    travel: str = ""
+    trial: int | None = None
+    beat_s: float = 1.0
+    beat: int | None = None
+    step: str = ""
+    steps: tuple[StepProgress, ...] = ()
+    left_s: float | None = None
+    amplitude_max_rad: float | None = None
+    reference_m_s: tuple[float, ...] = ()
+    speed_m_s: tuple[float | None, ...] = ()
+    amplitude_rad: tuple[float | None, ...] = ()
+    recorded: RecordedTrial | None = None
+    question: str = ""
+    rows: tuple[TrialRow, ...] = ()
+    error_bound_m_s: float | None = None
+    start_error_m_s: float | None = None
+    assessment: str = ""
+    problem: str = ""
+    fault: str = ""
+    log: tuple[str, ...] = ()
+    logged: int = 0
+    done: int = 0
+    guide: tuple[GuideStep, ...] = ()
+    law: str = ""
+    diagnosis: str = ""
+    track: tuple[Point, ...] = ()
+    walls: tuple[Point, ...] = ()
+    room_m: float | None = None
+    curves: tuple[TrialCurve, ...] = ()
+    params: tuple[Parameter, ...] = ()
+    number: float | None = None
+    reported: int = 0
+    pictures: bool = False
+
+
+def logged(now: PageState, text: str, clock: str) -> PageState:
+    """One line more in the log, the oldest go."""
+    line = f"{clock}  {printable(text)}"
+    return replace(now, log=(*now.log[-LOG_LINES + 1 :], line), logged=now.logged + 1)
+
+
+def by_status(now: PageState, status: BoardStatus) -> PageState:
+    """What the board says of itself once a second."""
+    stopped = status.state in STOPPED and status.fault.number != 0
+    fault = status.fault
+    is_under_way = status.state in ("RUNNING", "SETTLING")
+    return replace(
+        now,
+        state=status.state,
+        battery_v=None if status.battery_at_limit else status.battery_v,
+        iteration=status.iteration,
+        next_trial=status.next_trial,
+        pending=status.pending_trial,
+        beat=status.beat if is_under_way else None,
+        fault=f"{fault.meaning}. {fault.remedy}" if stopped else "",
+    )
+
+
+def by_beat(now: PageState, beat: BeatEvent) -> PageState:
+    """A beat that has been executed, of a trial that somebody else may have started."""
+    if beat.trial != now.trial:
+        now = _cleared(now, beat.trial)
+    return _with_beat(now, beat)
+
+
+def after(now: PageState, event: Event, clock: str) -> PageState:
+    """The snapshot after one event of a series."""
+    now = _changed(now, event)
+    text = log_line(event)
+    return logged(now, text, clock) if text else now
+
+
+def _changed(now: PageState, event: Event) -> PageState:
+    match event:
+        case StepProgress():
+            return _step(now, event)
+        case Countdown(left_s):
+            return replace(now, phase="countdown", left_s=left_s, step="hands out of the water")
+        case TrialStarted(trial):
+            return replace(_cleared(now, trial), phase="swimming", step="", left_s=None)
+        case BeatEvent():
+            return _with_beat(now, event)
+        case LiveValues():
+            battery_v = now.battery_v if event.battery_v is None else event.battery_v
+            return replace(now, beat=event.beat, battery_v=battery_v)
+        case Assessed():
+            return replace(now, assessment=_assessment(event))
+        case StepBegun(_, _, name, why, takes):
+            return _guided(now, GuideStep(name, f"{why} ({takes})"))
+        case StepEnded(name, done, words):
+            return _guided(now, GuideStep(name, words, done))
+        case InputChosen():
+            return replace(now, law=input_text(event))
+        case TrialDiagnosed():
+            return replace(now, diagnosis=result(event))
+    return now
+
+
+def _guided(now: PageState, step: GuideStep) -> PageState:
+    """Steps keep their places; a new one ends the one before it."""
+    before = tuple(
+        replace(one, done=True) if one.done is None and one.name != step.name else one
+        for one in now.guide
+    )
+    names = [one.name for one in before]
+    if step.name in names:
+        at = names.index(step.name)
+        return replace(now, guide=(*before[:at], step, *before[at + 1 :]))
+    return replace(now, guide=(*before, step))
+
+
+def by_place(now: PageState, place: Point) -> PageState:
+    """Where the camera sees the fish; what hardly differs is left out."""
+    if now.track:
+        x_m, y_m = now.track[-1]
+        if abs(place[0] - x_m) + abs(place[1] - y_m) < _TRACK_STEP_M:
+            return now
+    return replace(now, track=(*now.track[-_TRACK_POINTS + 1 :], place))
+
+
+def _cleared(now: PageState, trial: int) -> PageState:
+    none = (None,) * len(now.reference_m_s)
+    return replace(
+        now, trial=trial, speed_m_s=none, amplitude_rad=none, recorded=None, track=(), diagnosis=""
+    )
+
+
+def _step(now: PageState, event: StepProgress) -> PageState:
+    others = [s for s in now.steps if s.step != event.step]
+    at = next((i for i, s in enumerate(now.steps) if s.step == event.step), len(others))
+    steps = (*others[:at], event, *others[at:])
+    return replace(now, phase="preflight", step=event.text, left_s=event.left_s, steps=steps)
+
+
+def _with_beat(now: PageState, beat: BeatEvent) -> PageState:
+    changes: dict[str, Any] = {}
+    for name in ("speed_m_s", "amplitude_rad"):
+        old: tuple[float | None, ...] = getattr(now, name)
+        value = getattr(beat, name)
+        if 0 <= beat.beat < len(old) and value is not None:
+            changes[name] = (*old[: beat.beat], value, *old[beat.beat + 1 :])
+    return replace(now, **changes)
+
+
+def _assessment(event: Assessed) -> str:
+    if event.stop:
+        return f"{event.words} Stop: {event.stop_reason}. {event.advice}"
+    return f"{event.words} {event.saturation}" if event.saturation else event.words
+
+
+class Screen:
+    """The snapshot that is shown. Any thread may look; only the worker's changes it, so that
+    snapshots do not overtake each other."""
+
+    def __init__(self) -> None:
+        self.now = PageState()
+        self._changed = threading.Condition()
+
+    def show(self, snapshot: PageState) -> None:
+        """From now on."""
+        with self._changed:
+            self.now = replace(snapshot, serial=self.now.serial + 1)
+            self._changed.notify_all()
+
+    def set(self, **changes: Any) -> None:
+        """Likewise; the rest stays."""
+        self.show(replace(self.now, **changes))
+
+    def say(self, text: str) -> None:
+        """One line more in the log."""
+        self.show(logged(self.now, text, clock()))
+
+    def trouble(self, error: Exception) -> None:
+        """What is wrong, with what to do."""
+        words = str(error) if isinstance(error, TailbeatError) else reason(error)
+        is_new = (words := from_the_page(words)) != self.now.problem
+        self.set(problem=words)
+        if is_new:
+            self.say(words)
+
+    def wait(self, until: Callable[[PageState], bool], patience_s: float = 10.0) -> PageState:
+        """The first snapshot for which ``until`` holds. Raises TimeoutError."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: until(self.now), patience_s):
+                raise TimeoutError(f"still {self.now}")
+            return self.now
+
+
+def clock() -> str:
+    """The time in the log."""
+    return datetime.now().strftime("%H:%M:%S")
+
+
+def from_the_page(words: str) -> str:
+    """Commands need the port that the page holds."""
+    if "tailbeat session" not in words and "tailbeat params" not in words:
+        return words
+    return f"{words.rstrip('.')}. End this page first: Ctrl-C where tailbeat session web runs."
+
+
+def unexpected(error: Exception) -> str:
+    """What to do about an error in this package."""
+    return (
+        f"something went wrong that should not ({type(error).__name__}: {error})."
+        " Switch the fish off if its tail beats, start 'tailbeat session web' again and report "
+        "this."
+    )
