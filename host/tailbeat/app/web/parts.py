@@ -220,7 +220,8 @@ def status_card(live: Live) -> None:
         return bool(now.fault) and now.phase == "idle"
 
     def assessment(now: PageState) -> str:
-        return f"Last trial: {now.assessment}" if now.assessment and now.phase == "idle" else ""
+        is_news = now.assessment and now.phase == "idle" and not now.guide
+        return f"Last trial: {now.assessment}" if is_news else ""
 
     with ui.element("section").classes("card now").props('aria-label="The job"'):
         headline = live.label(view.phase_line, "headline")
@@ -244,26 +245,26 @@ def status_card(live: Live) -> None:
 def _start(live: Live) -> None:
     with ui.element("div").classes("go") as go:
         live.label(view.next_line, "travel next")
+        start = ui.button("START").props("unelevated").classes("start")
         commission = Choice("Measuring the fish", COMMISSION, classes="commission")
-        with ui.element("div").classes("two"):
-            until = Choice("How long", UNTIL, classes="until")
-            law = Choice("Law of the inputs", LAWS, classes="law-choice")
+        until = Choice("How long", UNTIL, classes="until")
+        law = Choice("Law of the inputs", LAWS, classes="law-choice")
         preflight = ui.switch(
             "Preflight checks before each trial: rest, pose, still water", value=True
         )
-
-        def swim() -> None:
-            live.ask(
-                "swim",
-                until=until.value,
-                preflight=preflight.value,
-                law=law.value,
-                commission=commission.value,
-            )
-
-        start = ui.button("START", on_click=swim).props("unelevated").classes("start")
         health = ui.button("Check the fish's health", on_click=lambda: live.ask("health"))
         health.props("outline").classes("check-health")
+
+    def swim() -> None:
+        live.ask(
+            "swim",
+            until=until.value,
+            preflight=preflight.value,
+            law=law.value,
+            commission=commission.value,
+        )
+
+    start.on_click(swim)
     live.follow(lambda now: now.phase in ("idle", "connecting", "working"), go.set_visibility)
     for button in (start, health):
         live.follow(lambda now: now.phase == "idle", button.set_enabled)
