@@ -6,7 +6,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from urllib.parse import parse_qsl
 
-from tailbeat.core.errors import ConnectError, InputError, NoBoardError, TailbeatError
+from tailbeat.core.errors import (
+    ConnectError,
+    InputError,
+    NoBoardError,
+    TailbeatError,
+    did_you_mean,
+)
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.impaired import ImpairedLine, faults_of
 from tailbeat.link.keystore import KeyStore
@@ -27,6 +33,7 @@ GRAMMAR = (
     "&line=drop=0.2,delay=hc05…)"
 )
 _HEARTBEAT_S = 1.0
+_SCHEMES = ("tcp", "udp", "sim", "vboard")
 _PORTS = {"radio": RADIO, "console": CONSOLE}  # of a board in this process
 _WORDS = ("plant", "port", "line")
 DEFAULT_PLANT = "tank"
@@ -51,7 +58,8 @@ def open_transport(url: str | None = None, /, **sim_overrides: float) -> Transpo
         return UdpTransport(host or None, _port(port, url))
     if url.startswith(("/", "./", "../", "~")) or url.upper().startswith("COM"):
         return SerialTransport(url)
-    raise InputError(f"cannot make sense of the address {url}", f"It is {GRAMMAR}.")
+    meant = did_you_mean(scheme, _SCHEMES)
+    raise InputError(f"cannot make sense of the address {url}", f"{meant}It is {GRAMMAR}.")
 
 
 def find_board(listen_s: float = LISTEN_S) -> Transport:

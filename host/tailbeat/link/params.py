@@ -317,5 +317,6 @@ def preset(name: str) -> Mapping[str, float]:
         return PRESETS[name]
     except KeyError:
         raise InputError(
-            f"there is no preset '{name}'.", f"Use {' or '.join(sorted(PRESETS))}."
+            f"there is no preset '{name}'.",
+            f"{did_you_mean(name, PRESETS)}Use {' or '.join(sorted(PRESETS))}.",
         ) from None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from tailbeat.core.errors import InputError
+from tailbeat.core.errors import InputError, did_you_mean
 from tailbeat.learning.diagnosis import Cause
 from tailbeat.session.next_law import LawName
 from tailbeat.session.outcome import DecisionKind
@@ -34,7 +34,8 @@ class Until:
             return cls(int(word))
         raise InputError(
             f"'{text}' says no end of a series.",
-            f"Say {CONVERGED}, {BATTERY} or a number of trials (1 to {_SWIMS_MAX}).",
+            f"{did_you_mean(word, (CONVERGED, BATTERY))}Say {CONVERGED}, {BATTERY} or a number"
+            f" of trials (1 to {_SWIMS_MAX}).",
         )
 
 

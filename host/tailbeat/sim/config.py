@@ -68,9 +68,16 @@ def config_field(name: str) -> str:
     if len(matches) != 1:
         raise InputError(
             f"the simulator has no value {name}",
-            f"{did_you_mean(name, fields)}It has: {', '.join(fields)}.",
+            f"{did_you_mean(name, _with_short(fields))}It has: {', '.join(fields)}.",
         )
     return matches[0]
+
+
+def _with_short(fields: list[str]) -> list[str]:
+    """Also without their units, as they may be given."""
+    units = ("_per_m", "_m_s_rad", "_m_s", "_rad_s", "_rad", "_kg_m", "_kg", "_m", "_s", "_v")
+    short = [field.removesuffix(unit) for field in fields for unit in units if field.endswith(unit)]
+    return [*fields, *dict.fromkeys(short)]
 
 
 class _Settings(StrictTable, forbid_unknown_fields=False):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 from collections.abc import Iterator
 from importlib.metadata import version as version_of
@@ -13,7 +14,7 @@ import typer
 
 from tailbeat.app.cli._lazy import Entry, LazyCommand, LazyGroup, opt
 from tailbeat.app.cli._terminal import echo, json_asked, json_line, typed_words, warn
-from tailbeat.core.errors import TailbeatError, reason
+from tailbeat.core.errors import TailbeatError, did_you_mean, reason
 
 _OS_REMEDY = "Check the path, your rights there and the free space."
 
@@ -242,7 +243,20 @@ def _usage_error(error: Any) -> TailbeatError:
     message = getattr(error, "format_message", lambda: error)()
     command = getattr(getattr(error, "ctx", None), "command_path", "tailbeat")
     message = str(message).replace("Value error, ", "")  # of a list of words; says nothing
-    return TailbeatError(message, f"Try: {command} --help")
+    return TailbeatError(message, f"{_meant(message, error)}Try: {command} --help")
+
+
+_NO_CHOICE = re.compile(r"'([^']*)' is not one of ((?:'[^']*'(?:, )?)+)")
+
+
+def _meant(message: str, error: Any) -> str:
+    """What the library that reads the words does not say by itself: a choice, and an option before
+    the command."""
+    if found := _NO_CHOICE.search(message):
+        return did_you_mean(found[1], re.findall(r"'([^']*)'", found[2]))
+    if (option := getattr(error, "option_name", None)) and not error.possibilities:
+        return did_you_mean(option, _BEFORE)
+    return ""
 
 
 def _discard_stdout() -> None:

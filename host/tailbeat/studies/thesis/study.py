@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from tailbeat.core.errors import InputError
+from tailbeat.core.errors import InputError, did_you_mean
 from tailbeat.core.parallel import CONTEXT, each_result, one_thread
 from tailbeat.studies.thesis import options as lengths
 from tailbeat.studies.thesis.example import Claim, Example, ExampleOptions, ExampleRun, Figure
@@ -76,7 +76,10 @@ def _matching(examples: Sequence[Example], what: str | None) -> list[Example]:
     if not found:
         chapters = ", ".join(str(n) for n in sorted({one.chapter for one in examples}))
         ids = ", ".join(one.id for one in examples)
-        raise InputError(f"there is no '{what}'.", f"Chapters are {chapters}; examples {ids}.")
+        meant = did_you_mean(what, [one.id for one in examples])
+        raise InputError(
+            f"there is no '{what}'.", f"{meant}Chapters are {chapters}; examples {ids}."
+        )
     return found
 
 
