@@ -173,8 +173,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     help="A robotic fish learns to track a speed profile.\n\n"
-    "First steps: 'tailbeat sim demo' shows it in simulation; 'tailbeat sim' starts a simulated "
-    "fish; 'tailbeat info' prints what is connected.",
+    "First steps: 'tailbeat sim demo' shows it in simulation; 'tailbeat sim' serves a simulated "
+    "fish; 'tailbeat start' leads through the whole job with any fish.",
 )
 
 

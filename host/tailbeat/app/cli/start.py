@@ -32,6 +32,7 @@ def start(
     *,
     reference: Reference | None = opt(
         "What to learn, as for 'reference upload'; default: the board's, else thesis.",
+        "NAME|CSV",
         autocompletion=reference_names,
         by=named_reference,
         show_default=False,

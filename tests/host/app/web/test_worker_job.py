@@ -18,6 +18,8 @@ from tailbeat.learning import fit
 from tailbeat.session.preflight_step import PreflightLimits
 from tailbeat.sim.board import SimBoard, SimTransport
 
+from ...guided_page import start_on_page
+
 PATIENCE_S = 600.0  # wall time; a bound on what hangs
 
 
@@ -45,44 +47,8 @@ def worker(tmp_path: Path) -> Iterator[Worker]:
     made.close()
 
 
-def answered(worker: Worker) -> tuple[PageState, list[str]]:
-    """Says yes, types what is asked for and keeps every trial, until all is done; the questions."""
-    asked: list[str] = []
-    while True:
-        now = worker.screen.wait(
-            lambda now: now.phase in ("idle", "asking", "deciding"), PATIENCE_S
-        )
-        if now.phase == "idle":
-            return now, asked
-        try:
-            _answer(worker, now)
-        except InputError:  # said already, and the next question is not there yet
-            _another(worker, now.serial)
-            continue
-        if now.phase == "asking":
-            asked.append(now.question)
-
-
-def _answer(worker: Worker, now: PageState) -> None:
-    if now.phase == "deciding":
-        worker.ask("decide", kind="keep")
-    else:
-        typed = f"{now.number:.2f}" if now.number is not None else ""
-        worker.ask("answer", yes=True, typed=typed)
-
-
-def _another(worker: Worker, serial: int) -> None:
-    worker.screen.wait(lambda now: now.serial > serial, PATIENCE_S)
-
-
-def swim(worker: Worker, until: str, commission: str) -> tuple[PageState, list[str]]:
-    worker.ask("swim", until=until, preflight=True, law="auto", commission=commission)
-    worker.screen.wait(lambda now: now.phase not in ("idle",), PATIENCE_S)
-    return answered(worker)
-
-
 def test_from_an_unknown_fish_to_a_report(worker: Worker) -> None:
-    now, asked = swim(worker, "1", "new")
+    now, asked = start_on_page(worker, "1", "new")
     assert now.problem == "" and [one.name for one in now.guide] == [
         "health", "commission", "tank", "trim", "measure", "limit", "law", "reference", "trials",
     ]  # fmt: skip
@@ -94,7 +60,7 @@ def test_from_an_unknown_fish_to_a_report(worker: Worker) -> None:
     assert now.reported == 1 and worker.trials.report_page() is not None
     assert now.track and now.room_m == pytest.approx(2.64, abs=0.01)
     trials = worker.trials.experiment
-    again, asked = swim(worker, "1", "new")
+    again, asked = start_on_page(worker, "1", "new")
     assert len(again.rows) == 2 and worker.trials.experiment is trials
     assert "skipped" in next(one.words for one in again.guide if one.name == "commission")
     _limits(worker)
@@ -140,6 +106,6 @@ def test_health_is_a_step_of_its_own(worker: Worker) -> None:
 def test_nothing_is_reported_before_a_trial(worker: Worker) -> None:
     assert "nothing to report" in done(worker, "report").problem
     done(worker, "upload", reference=from_text("trapezoid:0.06,2,4"))
-    now, asked = swim(worker, "1", "never")
+    now, asked = start_on_page(worker, "1", "never")
     assert asked == [] and now.guide == () and len(now.rows) == 1
     assert done(worker, "report").reported == 1
