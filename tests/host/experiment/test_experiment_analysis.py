@@ -249,7 +249,7 @@ def test_a_log_that_grew_is_one_trial(copy: Experiment) -> None:
     short.write_bytes((copy.raw / "0006.ulg").read_bytes()[:-40])
     (copy.raw / "0006.ulg").unlink()
     sums = copy.raw / "SHA256SUMS"
-    sums.write_text("".join(line for line in sums.open() if "0006" not in line))
+    sums.write_text("".join(line for line in sums.open() if "0006.ulg" not in line))
     assert copy.keep_trial(short).name == "0006.ulg"
     grown = copy.folder / "grown.ulg"
     grown.write_bytes(short.read_bytes() + _RECORD)
