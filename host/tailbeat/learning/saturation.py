@@ -26,6 +26,7 @@ from tailbeat.learning.planner import plan
 OVERSHOOT_RAD = 0.07
 SERVO_MOST_RAD = 1.0471976  # its mechanical range, and AMP_MAX_RAD's
 GRAIN_RAD = 0.01  # limits are multiples of it
+_DIGITS = 6  # so that a limit is the number that is read and typed: 69 * 0.01 is not 0.69
 _WEAK_TAIL = 97.5  # of the models as likely
 _AT_LIMIT = 1e-6  # of the limit: an amplitude in single precision
 _SLOWEST_M_S = 0.005
@@ -146,12 +147,12 @@ def servo_rad(params: Mapping[str, float]) -> float:
 
 def up_to_grain(value: float) -> float:
     """The next limit from ``value`` on."""
-    return math.ceil(value / GRAIN_RAD - 1e-6) * GRAIN_RAD
+    return round(math.ceil(value / GRAIN_RAD - 1e-6) * GRAIN_RAD, _DIGITS)
 
 
 def down_to_grain(value: float) -> float:
     """The next limit down from ``value``."""
-    return math.floor(value / GRAIN_RAD + 1e-6) * GRAIN_RAD
+    return round(math.floor(value / GRAIN_RAD + 1e-6) * GRAIN_RAD, _DIGITS)
 
 
 def _best_rad(identified: Identified, reference: Reference) -> float:

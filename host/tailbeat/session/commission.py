@@ -168,7 +168,7 @@ class _Session:
         )
         if isinstance(offer, str):
             return CommissionStep("limit", True, offer)
-        if self.operator.number(f"{offer.text}. To allow it, type", offer.to) != offer.to:
+        if not offer.is_typed_by(self.operator):
             return CommissionStep("limit", True, f"{offer.name} stays {offer.was:.2f}, as answered")
         set_and_save(self.fish, {offer.name: offer.to})
         return CommissionStep("limit", True, offer.text, offer)

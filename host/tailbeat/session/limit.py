@@ -25,6 +25,7 @@ from tailbeat.learning.saturation import (
     servo_rad,
     up_to_grain,
 )
+from tailbeat.session.events import Operator
 from tailbeat.session.outcome import Travel
 from tailbeat.session.travel import travel_of
 
@@ -45,6 +46,11 @@ class LimitIncrease:
         """``AMP_MAX_RAD (the largest amplitude) from 0.50 to 0.60 rad: ...``."""
         rise = f"from {self.was:.2f} to {self.to:.2f} rad"
         return f"{self.name} (the largest amplitude of the tail) {rise}: {self.reason}"
+
+    def is_typed_by(self, operator: Operator) -> bool:
+        """Whether the operator allows it, by its number."""
+        typed = operator.number(f"{self.text}. To allow it, type", self.to)
+        return typed is not None and math.isclose(typed, self.to, abs_tol=1e-4)
 
 
 def limit_offer(

@@ -82,7 +82,7 @@ def _raise_limit(of: Trials, finding: CauseFound) -> StepEnded:
     offer = limit_offer(of.fish.params.values(), of.reference, of.identified, straight)
     if isinstance(offer, str):
         return StepEnded("limit", False, offer)
-    if of.operator.number(f"{offer.text}. To allow it, type", offer.to) != offer.to:
+    if not offer.is_typed_by(of.operator):
         return StepEnded("limit", False, f"{offer.name} stays {offer.was:.2f}, as answered")
     set_and_save(of.fish, {offer.name: offer.to})
     return StepEnded("limit", True, offer.text)

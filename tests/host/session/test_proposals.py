@@ -15,8 +15,10 @@ from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import identified_if_readable, library_of
 from tailbeat.learning import fit
 from tailbeat.learning.diagnosis import Cause, CauseFound
+from tailbeat.learning.saturation import up_to_grain
 from tailbeat.session.commission import give_reference
 from tailbeat.session.events import Event, StepEnded, TrialDiagnosed, TrialStarted
+from tailbeat.session.limit import LimitIncrease
 from tailbeat.session.options import Options, Until
 from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.proposals import CARRY_OUT, Trials
@@ -113,6 +115,15 @@ def test_a_limit_that_costs_error_is_raised_by_its_number(measured: Measured) ->
     assert low_rad < measured.limit() <= high_rad
     swum = sum(isinstance(one, TrialStarted) for one in operator.told)
     assert swum == 2, "the trial that showed it, and one with the new limit"
+
+
+@pytest.mark.parametrize("hundredths", range(50, 100))
+def test_every_limit_is_allowed_by_the_number_that_is_shown(hundredths: int) -> None:
+    to = up_to_grain(hundredths / 100 - 0.003)
+    offer = LimitIncrease("AMP_MAX_RAD", 0.5, to, "")
+    shown = f"{to:g}"
+    assert float(shown) == to and offer.is_typed_by(Answers(typed=float(shown)))
+    assert not offer.is_typed_by(Answers(typed=to + 0.01))
 
 
 def test_another_number_raises_nothing(measured: Measured) -> None:
