@@ -68,6 +68,9 @@ soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 rand
 	@for recipe in $$($(BIN)/tailbeat sim montecarlo --list --json | $(PYTHON) -c \
 		'import json, sys; print(*(r["name"] for r in json.load(sys.stdin)["recipes"]))'); do \
 		$(BIN)/tailbeat sim montecarlo $$recipe --out build/sweeps/$$recipe --pinned --check || exit 1; done
+	@$(BIN)/python bench/sessions.py 200
+	@$(BIN)/python bench/causes.py 10
+	@$(BIN)/python bench/executions.py 100
 	@FTP_MODEL_EXAMPLES=500 $(BIN)/pytest $(UNLIMITED) -s tests/host/link/test_ftp_model.py
 	@$(MAKE) fuzz
 

@@ -25,6 +25,7 @@ from tailbeat.session.start import StartOptions, run_start
 FOLDER = Path("experiments", "demo")
 MEASURING_RUNS = 3
 _P_LAW, _START = "p-law", "start"
+_ROW = ("iteration", "trial", "max_abs_error_m_s", "rms_error_m_s", "saturated_beats", "end")
 
 
 @dataclass(frozen=True)
@@ -36,8 +37,8 @@ class TwoLaws:
     figure: Path
     reports: tuple[Path, Path]
 
-    def as_dict(self) -> dict[str, Any]:
-        """SI units, JSON types."""
+    def as_dict(self, law: str = "both") -> dict[str, Any]:
+        """SI units, JSON types. ``trials``: of the P law, with ``law`` ``model`` of the other."""
         laws = [
             {
                 "law": one.name,
@@ -47,7 +48,9 @@ class TwoLaws:
             }
             for one, report in zip(self.runs, self.reports, strict=True)
         ]
-        return self.p_law.as_dict() | {"laws": laws, "figure": str(self.figure)}
+        found = self.p_law.as_dict() | {"laws": laws, "figure": str(self.figure)}
+        rows = [{name: getattr(row, name) for name in _ROW} for row in self.runs[1].analysis.rows]
+        return found | ({"trials": rows} if law == "model" else {})
 
 
 def run_both(options: DemoOptions, progress: Progress = lambda done, text: None) -> TwoLaws:

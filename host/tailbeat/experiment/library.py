@@ -3,9 +3,9 @@
 A folder per fish, named by its unique id, in ``$TAILBEAT_LOGBOOK``, else in ``tailbeat/fish`` of
 the user's data: ``trials/`` (copies of trial files, never changed, in the order they came),
 ``marks/`` (what is to be known of some of them, named like them), ``proposals/`` (inputs this
-computer made, and why), ``references.json`` (their names by CRC, which a board does not keep) and
-``identified.json``. The model law, the assessment and a second
-reference draw on it. Several processes may write at once.
+computer made, and why), ``references.json`` (their names by CRC, which a board does not keep),
+``identified.json`` and ``law.json`` (the P law designed for the fish). The model law, the
+assessment and a second reference draw on it. Several processes may write at once.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ RUN = "run"
 _MARKS = (DISCARDED, RUN)
 _IDENTIFIED = "identified.json"
 _REFERENCES = "references.json"
+_LAW = "law.json"
 _PRESERVED = "before-identify"
 _DIGEST_DIGITS = 16
 
@@ -121,6 +122,22 @@ class TrialLibrary(TrialStore):
                     found.append(document)
         return found
 
+    def designed_law(self, key: str) -> dict[str, float] | None:
+        """The parameters of the law that was designed last; None: not for this ``key``."""
+        held = self._read(_LAW)
+        law = held.get("params") if held.get("key") == key else None
+        return {str(name): float(value) for name, value in law.items()} if law else None
+
+    def set_designed_law(self, key: str, params: Mapping[str, float]) -> None:
+        """Replaces it. Raises InputError."""
+        self.put(_LAW, {"key": key, "params": dict(params)})
+
+    def change_designed_law(self, params: Mapping[str, float]) -> None:
+        """Some of its parameters, if there is one. Raises InputError."""
+        with self.changing():
+            if held := self._read(_LAW):
+                self.put(_LAW, held | {"params": held.get("params", {}) | dict(params)})
+
     def name_reference(self, crc: int, name: str) -> None:
         """Keeps what a reference is called. Lasting when it returns."""
         if self.reference_name(crc) != name:
@@ -138,10 +155,14 @@ class TrialLibrary(TrialStore):
         return self._names().get(f"{crc:08x}")
 
     def _names(self) -> dict[str, str]:
+        return {crc: str(name) for crc, name in self._read(_REFERENCES).items()}
+
+    def _read(self, name: str) -> dict[str, Any]:
+        """A JSON file of the folder; empty when it is missing or damaged."""
         with contextlib.suppress(OSError, ValueError, RecursionError):
-            document = json.loads((self.folder / _REFERENCES).read_bytes())
+            document = json.loads((self.folder / name).read_bytes())
             if isinstance(document, dict):
-                return {str(crc): str(name) for crc, name in document.items()}
+                return document
         return {}
 
     @property

@@ -151,9 +151,7 @@ def _saturation(evidence: Evidence) -> CauseFound | None:
         f"{count} of {len(last)} beats at the limit {evidence.limit_rad:.2f} rad, which costs"
         f" {mm(share)} mm/s"
     )
-    return CauseFound(
-        Cause.SATURATION, share, number, spans(beats), "raise the amplitude limit, or go slower"
-    )
+    return CauseFound(Cause.SATURATION, share, number, spans(beats), "raise the amplitude limit")
 
 
 def _infeasible(evidence: Evidence) -> CauseFound | None:
@@ -249,7 +247,7 @@ _BY_PATTERN: dict[Pattern, Callable[[Evidence, float, int], CauseFound]] = {
 
 def _trials(evidence: Evidence, since: int) -> str:
     compared = evidence.trials[-_TRIALS_MAX:]
-    return f"since trial {compared[since].trial}" if len(compared) > since else "every trial"
+    return f"since trial {compared[since].trial}" if since else "every trial"
 
 
 _DETECTORS: tuple[Callable[[Evidence], CauseFound | None], ...] = (

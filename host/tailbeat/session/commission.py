@@ -15,9 +15,8 @@ from tailbeat.core.reference import Reference, ReferenceLimits
 from tailbeat.core.speed_source import Camera
 from tailbeat.experiment.current import set_and_save
 from tailbeat.experiment.library import library_of, name_reference
-from tailbeat.learning.design import design
 from tailbeat.learning.fish_model import TrialSpeeds
-from tailbeat.learning.saturation import needed_rad, servo_rad
+from tailbeat.session.board_law import store_law
 from tailbeat.session.events import Notice, Operator, StepEnded
 from tailbeat.session.guards import Guard
 from tailbeat.session.health import HEALTH, check_health
@@ -43,7 +42,7 @@ class CommissionStep(StepEnded):
         return not self.done and self.name not in _MAY_FAIL
 
 
-_MAY_FAIL = ("trim", "limit")
+_MAY_FAIL = ("trim", "limit", "law")
 
 
 def commission_fish(
@@ -53,13 +52,17 @@ def commission_fish(
     camera: Camera | None = None,
     guard: Guard | None = None,
     limits: PreflightLimits | None = None,
+    known: MeasuredFish | None = None,
+    command: str = "tailbeat session commission",
 ) -> Iterator[CommissionStep]:
-    """Yields each step when it is done. Asks (operator.confirm) before the fish swims and before
-    anything is raised; ``limits``: of the preflight checks before each run. Saves what it sets.
-    Uploads the reference. Ends early, with a step that is not done, when one fails that the next
-    ones need (``ends``). Raises LinkLostError."""
+    """Yields each step when it is done; of a fish that is ``known`` only limit and law are left.
+    Asks (operator.confirm) before the fish swims and before anything is raised; ``limits``: of the
+    preflight checks before each run. Saves what it sets. Uploads the reference of a fish that is
+    not known. ``command``: what to repeat once something is put right. Ends early, with a step that
+    is not done, when one fails that the next ones need (``ends``). Raises LinkLostError."""
     with camera_of(fish, camera) as used:
-        session = _Session(fish, reference, operator, used, guard, limits or PreflightLimits())
+        wanted = limits or PreflightLimits()
+        session = _Session(fish, reference, operator, used, guard, wanted, command, found=known)
         for name, take in session.steps():
             step = _taken(name, take)
             yield step
@@ -88,11 +91,14 @@ class _Session:
     camera: Camera | None
     guard: Guard | None
     limits: PreflightLimits
+    command: str
     trials: list[TrialSpeeds] = field(default_factory=list, init=False)
-    found: MeasuredFish | None = field(default=None, init=False)
+    found: MeasuredFish | None = None
 
     def steps(self) -> list[tuple[str, Callable[[], CommissionStep]]]:
         """In order."""
+        if self.found is not None:
+            return [("limit", self.limit), ("law", self.law)]
         return [
             (HEALTH, self.health),
             ("tank", self.tank),
@@ -104,8 +110,8 @@ class _Session:
 
     def health(self) -> CommissionStep:
         """Whether it can swim at all."""
-        command = "tailbeat session commission"
-        return CommissionStep(**vars(check_health(self.fish, self.camera, self.operator, command)))
+        found = check_health(self.fish, self.camera, self.operator, self.command)
+        return CommissionStep(**vars(found))
 
     def tank(self) -> CommissionStep:
         """How much room there is, and for which reference."""
@@ -179,14 +185,8 @@ class _Session:
     def law(self) -> CommissionStep:
         """The P law that the board learns by where it is alone: for the limit that is allowed."""
         assert self.found is not None
-        identified, params = self.found.identified, self.fish.params.values()
-        most = min(needed_rad(identified, self.reference), servo_rad(params), params["AMP_MAX_RAD"])
-        found = design(identified, self.reference, most, step_max_rad=params["DU_MAX_RAD"])
-        if found.refused:
-            return CommissionStep("law", False, found.refused)
-        # the certificate is for kd = 0, a constant gain and the last trial alone
-        law = {name: value for name, value in found.law.params().items() if name in params}
-        set_and_save(self.fish, law)
+        if why := store_law(self.fish, self.reference, self.found.identified):
+            return CommissionStep("law", False, why)
         return CommissionStep(
             "law",
             True,
@@ -198,7 +198,7 @@ class _Session:
         if not self.operator.confirm(question):
             raise GivenUp(
                 f"{otherwise}: the answer was no.",
-                "Begin again with 'tailbeat session commission'; --yes answers for a script.",
+                "Begin again with the same command.",
             )
 
 

@@ -105,13 +105,15 @@ class TrialDecided:
 
 @dataclass(frozen=True)
 class StepBegun:
-    """A step of a guided job. ``why``: what it is for; ``takes``: how long, in words."""
+    """A step of a guided job. ``why``: what it is for; ``takes``: how long; ``press``: which keys.
+    All in words."""
 
     number: int
     of: int
     name: str
     why: str
     takes: str
+    press: str = ""
 
 
 @dataclass(frozen=True)

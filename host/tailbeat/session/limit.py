@@ -162,9 +162,6 @@ def _reason(
     travel: Travel,
 ) -> str:
     top = float(np.max(reference.speed_m_s)) * 1e3
-    words = (
-        f"{hold_rad(identified, reference):.2f} hold the {top:.0f} mm/s of the reference, and it"
-        f" needs {need:.2f} with what learning adds; a run went to {tried_rad(identified):.2f}"
-        " without a fault"
-    )
-    return f"{words}; the fish travels {travel.text()}"
+    words = f"the reference needs {need:.2f}, {hold_rad(identified, reference):.2f} for its"
+    tried = f"a run went to {tried_rad(identified):.2f} without a fault"
+    return f"{words} {top:.0f} mm/s; {tried}; the fish travels {travel.text()}"

@@ -184,6 +184,11 @@ class SessionLog:
         is_open = last is not None and last["what"] in ("begun", "swum")
         return int(last["trial"]) if is_open and last is not None else None
 
+    def last_executed(self) -> int | None:
+        """The number of the trial that was recorded last."""
+        last = self._last(("swum",))
+        return None if last is None else int(last["trial"])
+
     def void(self, trial: int, end: str) -> None:
         """Given up, or ended before its first beat; the board has no log of it."""
         self.journal.add("void", trial=trial, end=end)

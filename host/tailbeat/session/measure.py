@@ -20,7 +20,14 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.reference import Reference
 from tailbeat.core.speed_source import Camera
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift
-from tailbeat.experiment.library import RUN, TrialLibrary, library_of, preserve_folder
+from tailbeat.experiment.library import (
+    DISCARDED,
+    RUN,
+    TrialLibrary,
+    identified_if_readable,
+    library_of,
+    preserve_folder,
+)
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import identify_trials
@@ -101,6 +108,17 @@ def measure_fish(
         while (run := runs.following()) is not None:
             runs.execute(run)
     return runs.found()
+
+
+def measured_before(fish: Fish) -> MeasuredFish | None:
+    """As the trial library has it; None: no run of this fish is known."""
+    book = library_of(fish)
+    identified = identified_if_readable(book)
+    if book is None or identified is None or not identified.trials:
+        return None
+    trials = (kept.trial for kept in reversed(book.kept()[0]) if kept.mark != DISCARDED)
+    straight = next(filter(None, map(heading_drift, trials)), None)
+    return MeasuredFish(identified, straight, len(identified.trials))
 
 
 def rise(top_rad: float, beats: int) -> F64:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from tailbeat.core.errors import InputError, did_you_mean
 from tailbeat.learning.diagnosis import Cause
@@ -38,6 +38,10 @@ class Until:
             f" of trials (1 to {_SWIMS_MAX}).",
         )
 
+    def beyond(self, counted: int) -> Until:
+        """With at least one trial more than ``counted``."""
+        return self if self.trials is None else replace(self, trials=max(self.trials, counted + 1))
+
 
 @dataclass(frozen=True)
 class Options:
@@ -47,7 +51,7 @@ class Options:
     swap. ``typed``: the command, for the event log. ``law``: of the inputs.
     ``proposes``: a diagnosis asks whether its proposal is to be carried out, once for each of the
     causes that are not in ``declined``. ``plan_anew``: an input that was uploaded before is not
-    kept.
+    kept. ``counted``: trials of the same job that count already.
     """
 
     until: Until = field(default_factory=Until)
@@ -61,3 +65,4 @@ class Options:
     proposes: bool = False
     declined: set[Cause] = field(default_factory=set)
     plan_anew: bool = False
+    counted: int = 0

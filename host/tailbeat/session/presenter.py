@@ -82,8 +82,8 @@ def result(event: Event) -> str:
             )
         case InputChosen():
             return input_text(event)
-        case StepBegun(number, of, name, why, takes):
-            return f"{number}/{of} {name}: {why} ({takes})"
+        case StepBegun(number, of, name, why, takes, press):
+            return f"{number}/{of} {name}: {why} ({'; '.join(filter(None, (takes, press)))})"
         case StepEnded(name, done, words):
             return f"{_MARKS[done]:>2}  {name}: {words}"
         case Assessed():

@@ -21,7 +21,9 @@ from tailbeat.learning.diagnosis import Cause, CauseFound
 from tailbeat.learning.error_bound import suggest
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
+from tailbeat.session.board_law import lower_gain
 from tailbeat.session.commission import give_reference, store_measured
+from tailbeat.session.decide import restore_best_and_log
 from tailbeat.session.events import Operator, StepEnded
 from tailbeat.session.guards import Guard
 from tailbeat.session.health import check_health
@@ -29,9 +31,8 @@ from tailbeat.session.limit import limit_offer
 from tailbeat.session.log import SessionLog
 from tailbeat.session.measure import measure_fish
 from tailbeat.session.options import Options
-from tailbeat.session.series import SeriesEnd, run_series
+from tailbeat.session.series import Round, SeriesEnd, run_series
 
-_MOST = 8  # proposals of one call: a fish that is never content is not asked for ever
 _COMMAND = "tailbeat start"
 
 
@@ -52,16 +53,18 @@ class Trials:
 
     def run(self) -> tuple[SeriesEnd, Experiment]:
         """Until the series ends by itself. Raises what ``run_series`` and the steps raise."""
-        options = self.options
+        options, rounds = self.options, list[Round]()
         while True:
             self.folder = folder = self.experiment()
             end = run_series(self.fish, folder, self.operator, options, self.camera, self.guard)
-            if end.accepted is None or len(self.steps) == _MOST:
-                return end, folder
+            rounds += end.rounds
+            if end.accepted is None:  # each cause is proposed once, so this comes
+                return replace(end, rounds=rounds), folder
             step = CARRY_OUT[end.accepted.cause](self, end.accepted)
             self.steps.append(step)
             self.operator.tell(step)
-            options = replace(options, plan_anew=True)
+            until = options.until.beyond(end.counted)
+            options = replace(options, plan_anew=True, counted=end.counted, until=until)
 
     @property
     def reference(self) -> Reference:
@@ -103,7 +106,7 @@ def _sensors(of: Trials, finding: CauseFound) -> StepEnded:
 
 
 def _best_again(of: Trials, finding: CauseFound) -> StepEnded:
-    of.fish.restore_best()
+    restore_best_and_log(of.fish)
     return StepEnded("repeat", True, "the best input so far comes next, once more")
 
 
@@ -126,8 +129,8 @@ def _still_true(of: Trials, finding: CauseFound) -> tuple[TrialSpeeds, ...]:
 def _smaller_gain(of: Trials, finding: CauseFound) -> StepEnded:
     if finding.value is None:
         raise InputError("no smaller gain is known.", "tailbeat session design --set")
-    set_and_save(of.fish, {"ILC_GAIN": finding.value})
-    of.fish.restore_best()
+    lower_gain(of.fish, finding.value)
+    restore_best_and_log(of.fish)
     return StepEnded("gain", True, f"ILC_GAIN is {finding.value:.2f}; the best input comes next")
 
 

@@ -45,6 +45,7 @@ from tailbeat.session.log import (
     switched_off_since,
     too_low,
 )
+from tailbeat.session.missed import fetch_missed
 from tailbeat.session.next_law import NextLaw
 from tailbeat.session.options import Options
 from tailbeat.session.outcome import BY_HAND, Decision, Ready, RecordedTrial
@@ -54,6 +55,7 @@ from tailbeat.session.status import assess_series
 from tailbeat.session.travel import guarded_trial, travel_next
 from tailbeat.session.trial_camera import camera_of
 
+NOTHING_MORE = "swims"  # why a series ends after as many trials as were asked for
 GOES_ON = "nothing is lost, the same command goes on from here"
 BY_CTRL_C = f"stopped by Ctrl-C; {GOES_ON}"
 
@@ -71,16 +73,18 @@ class Round:
 
 @dataclass(frozen=True)
 class SeriesEnd:
-    """``why``: ``trials``, ``converged``, ``saturated`` (nothing more to gain at the amplitude
-    limit), ``battery``, ``interrupted`` (Ctrl-C or the operator), ``stopped`` (the board stopped by
-    a rule of its own and is left so, with its reason), or ``proposal`` (``accepted`` is to be
-    carried out)."""
+    """``why``: ``swims`` (as many trials as were asked for), ``converged``, ``saturated`` (nothing
+    more to gain at the amplitude limit), ``battery``, ``interrupted`` (Ctrl-C or the operator),
+    ``stopped`` (the board stopped by a rule of its own and is left so, with its reason), or
+    ``proposal`` (``accepted`` is to be carried out). ``counted``: trials that count for the end,
+    those before this series included."""
 
     why: str
     words: str
     rounds: list[Round]
     verdict: Assessment | None
     accepted: CauseFound | None = None
+    counted: int = 0
 
     @property
     def records(self) -> list[RecordedTrial]:
@@ -162,16 +166,20 @@ class _Series:
     decisions: Decisions
     law: NextLaw
     rounds: list[Round] = field(default_factory=list)
-    counted: int = 0
+    counted: int = field(default=0, init=False)
     verdict: Assessment | None = None
     yaw_deg: float | None = None  # of the first start, for the preflight checks to compare with
     chosen: InputChosen | None = None  # of the input that comes next
 
+    def __post_init__(self) -> None:
+        self.counted = self.options.counted
+
     def end(self, why: str, words: str) -> SeriesEnd:
         write_redo(self.log.experiment)
-        return SeriesEnd(why, words, self.rounds, self.verdict)
+        return SeriesEnd(why, words, self.rounds, self.verdict, counted=self.counted)
 
     def run(self) -> SeriesEnd:
+        self._fetch_missed()
         end = self._catch_up() or self._enough()
         while end is None:
             end = self._battery() or self._switched_off() or self._round() or self._enough()
@@ -196,6 +204,11 @@ class _Series:
         if last and status.fault.number == ABORT_COMMAND:
             fish.clear()  # it was stopped before its first beat, most likely from here
         return self._cleared()
+
+    def _fetch_missed(self) -> None:
+        """What the board executed without this computer."""
+        if words := fetch_missed(self.around.fish, self.log):
+            self._notice(words)
 
     def _switched_off(self) -> SeriesEnd | None:
         """Before each trial: the hull may have been open, and whether the best is repeated first is
@@ -272,7 +285,7 @@ class _Series:
         until, verdict = self.options.until, self.verdict
         if until.trials is not None and self.counted >= until.trials:
             plural = "" if self.counted == 1 else "s"
-            return self.end("swims", f"{self.counted} trial{plural}")
+            return self.end(NOTHING_MORE, f"{self.counted} trial{plural}")
         if until.converged and verdict is not None and verdict.stop:
             why = "converged" if verdict.saturation is None else "saturated"
             return self.end(why, f"{verdict.stop_reason}: {verdict.advice}")
@@ -284,7 +297,7 @@ class _Series:
             raise InputError(
                 words.rpartition(":")[0], "tailbeat trial learn, or go on without --no-learn"
             )
-        return self.end("swims", words)
+        return self.end(NOTHING_MORE, words)
 
     def _battery(self) -> SeriesEnd | None:
         """Before each trial: whether the battery still allows it."""

@@ -1,37 +1,50 @@
 """Leads from a connected fish to trials that have converged, step by step.
 
-What a step is to reach is looked for first, and the step is skipped when it is there: a job that
-was interrupted goes on where it stopped, with the same command. Everything is kept where single
-commands keep it too (board, trial library, experiment).
+A step whose result is there already is skipped: a job that was interrupted goes on where it
+stopped, with the same command. Everything is kept where single commands keep it too (board, trial
+library, experiment).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from tailbeat.board.fish import Fish, board_reference
+from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.core.speed_source import Camera
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import identified_if_readable, library_of, some_library
+from tailbeat.experiment.library import library_of, preserve_folder, some_library
 from tailbeat.learning.error_bound import error_bound_range
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import KnownFish, expected_saturation
-from tailbeat.session.collect import STOPPED
+from tailbeat.session.collect import STOPPED, stop_words
 from tailbeat.session.commission import commission_fish, give_reference
-from tailbeat.session.events import Operator, StepBegun, StepEnded
+from tailbeat.session.events import Operator, StepBegun, StepEnded, notice_to
 from tailbeat.session.guards import Guard
 from tailbeat.session.health import HEALTH, check_health
-from tailbeat.session.options import Options
+from tailbeat.session.measure import MeasuredFish, measured_before
+from tailbeat.session.options import Options, Until
 from tailbeat.session.proposals import Trials
-from tailbeat.session.series import SeriesEnd
+from tailbeat.session.series import NOTHING_MORE, SeriesEnd, run_series
 from tailbeat.session.travel import travel_of
 
 _COMMAND = "tailbeat start"
-_STEPS = 5
+_STEPS = (
+    StepBegun(1, 5, HEALTH, "is the fish ready to swim?", "seconds", "no key"),
+    StepBegun(2, 5, "commission", "get to know a new fish", "3 short runs, 6 min", "y or n"),
+    StepBegun(3, 5, "reference", "the speed to learn, beat by beat", "seconds", "y or n"),
+    StepBegun(
+        4, 5, "trials", "each is one run along the reference, then it learns", "2 min each",
+        "any key stops the tail",
+    ),
+    StepBegun(5, 5, "report", "figures and tables of all trials", "seconds", "no key"),
+)  # fmt: skip
+_STEP = {step.name: step for step in _STEPS}
+REPORT = _STEPS[-1]  # taken by the caller, when there is something to report
 
 
 @dataclass(frozen=True)
@@ -95,11 +108,14 @@ class _Guide:
     identified: Identified | None = None
 
     def run(self) -> StartEnd:
-        if not self._is_under_way() and not self._ready():
-            return StartEnd(self.steps)
-        self._begin(
-            4, "trials", "each is one run along the reference, then it learns", "2 min each"
+        restore_interrupted(
+            self.fish, preserve_folder(library_of(self.fish)), notice_to(self.operator)
         )
+        if (left := self._settled()) is not None:
+            return left
+        if not self._ready():
+            return StartEnd(self.steps)
+        self._begin("trials")
         self._require_act("trials")
         series = self.options.series
         trials = Trials(
@@ -108,47 +124,63 @@ class _Guide:
         end, folder = trials.run()
         return StartEnd(self.steps, end, folder)
 
-    def _is_under_way(self) -> bool:
-        """A trial waits to be decided on, or the board is stopped: the series sees to that."""
-        status = self.fish.status()
-        under_way = status.pending_trial is not None or status.state in STOPPED
-        return under_way and board_reference(self.fish) is not None
+    def _settled(self) -> StartEnd | None:
+        """A trial that waits on the board is decided on before anything else, and a stopped board
+        is cleared. An end when one of them is not."""
+        fish, status = self.fish, self.fish.status()
+        if status.pending_trial is not None and board_reference(fish) is not None:
+            series = replace(self.options.series, until=Until(0), proposes=False)
+            folder = self.experiment()
+            end = run_series(fish, folder, self.operator, series, self.camera, self.guard)
+            if end.why != NOTHING_MORE:
+                return StartEnd(self.steps, end, folder)
+            status = fish.status()
+        if status.state not in STOPPED:
+            return None
+        words = stop_words(status)
+        if self.operator.confirm(f"{words} Clear it and go on?"):
+            fish.clear()
+            return None
+        self._took(StepEnded(HEALTH, False, f"{words} Then: tailbeat board clear"))
+        return StartEnd(self.steps)
 
     def _ready(self) -> bool:
-        """Health, commissioning, reference."""
-        self._begin(1, HEALTH, "is the fish ready to swim?", "seconds")
-        fish, operator = self.fish, self.operator
-        self.identified = identified_if_readable(library_of(fish))
-        is_known = self.identified is not None and bool(self.identified.trials)
-        is_new = self.options.anew or not is_known
-        if not self._took(check_health(fish, self.camera, operator, _COMMAND, swims=is_new)):
-            return False
+        """Health, commissioning, reference, amplitude limit and the board's own law."""
+        fish = self.fish
+        self._begin(HEALTH)
+        found = None if self.options.anew else measured_before(fish)
         reference = self.options.reference or board_reference(fish) or thesis()
-        self._begin(2, "commission", "get to know a new fish", "3 short runs, 6 min")
-        if not (self._commissioned(reference) if is_new else self._known()):
+        if found is None:
+            return self._commissioned(reference, None) and self._given(reference)
+        if not self._took(check_health(fish, self.camera, self.operator, _COMMAND, swims=False)):
             return False
-        self._begin(3, "reference", "the speed to learn, beat by beat", "seconds")
-        give_reference(fish, reference, operator)
-        return self._took(self._checked(reference))
+        self._begin("commission")
+        words = f"skipped, this fish was measured on {found.identified.made[:10]}"
+        self._took(StepEnded("commission", True, words))
+        self.identified = found.identified
+        return self._given(reference) and self._commissioned(reference, found)
 
-    def _known(self) -> bool:
-        assert self.identified is not None
-        words = f"skipped, this fish was measured on {self.identified.made[:10]}"
-        return self._took(StepEnded("commission", True, words))
-
-    def _commissioned(self, reference: Reference) -> bool:
-        self._require_act("commission")
+    def _commissioned(self, reference: Reference, known: MeasuredFish | None) -> bool:
+        """Of a ``known`` fish only the limit and the board's law, both for this reference."""
         limits = self.options.series.wanted
         for step in commission_fish(
-            self.fish, reference, self.operator, self.camera, self.guard, limits
+            self.fish, reference, self.operator, self.camera, self.guard, limits, known, _COMMAND
         ):
-            if step.name != HEALTH:
-                self._took(step)
+            self._took(step)
             if step.ends:
                 return False
+            if step.name == HEALTH:
+                self._begin("commission")
+                self._require_act("commission")
             if step.found is not None:
                 self.identified = step.found.identified
         return True
+
+    def _given(self, reference: Reference) -> bool:
+        """To the board, and checked."""
+        self._begin("reference")
+        give_reference(self.fish, reference, self.operator)
+        return self._took(self._checked(reference))
 
     def _checked(self, reference: Reference) -> StepEnded:
         """What the fish can reach of the reference, and whether the tank has room."""
@@ -169,8 +201,8 @@ class _Guide:
             words += f"; {saturation.text}"
         return StepEnded("reference", True, words)
 
-    def _begin(self, number: int, name: str, why: str, takes: str) -> None:
-        self.operator.tell(StepBegun(number, _STEPS, name, why, takes))
+    def _begin(self, name: str) -> None:
+        self.operator.tell(_STEP[name])
 
     def _took(self, step: StepEnded) -> bool:
         self.steps.append(step)

@@ -96,7 +96,7 @@ def test_as_much_as_the_reference_needs() -> None:
 def test_the_reason_has_its_figures() -> None:
     found = limit_offer(DEFAULTS, THESIS, known(), STRAIGHT)
     assert isinstance(found, LimitIncrease)
-    assert f"{TANK.amplitude_rad(0.0791):.2f} hold the 79 mm/s" in found.reason
+    assert f"{TANK.amplitude_rad(0.0791):.2f} for its 79 mm/s" in found.reason
     assert "a run went to 0.80 without a fault" in found.reason
     assert "of 2.64 m" in found.reason
 
@@ -352,7 +352,7 @@ def test_at_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     done = CliRunner().invoke(app, ["session", "commission", "--connect", "sim:tank", "--json"])
     document = json.loads(done.stdout)
     assert done.exit_code == 1 and document["ok"] is False
-    assert "--yes answers" in document["steps"][-1]["words"]
+    assert "Begin again with the same command" in document["steps"][-1]["words"]
     assert document["params"]["AMP_MAX_RAD"] == pytest.approx(0.5)
     nowhere = CliRunner().invoke(app, ["session", "status", "--connect", "sim:tank"])
     assert nowhere.exit_code != 0 and "is in no experiment" in str(nowhere.exception)

@@ -126,6 +126,20 @@ def test_every_limit_is_allowed_by_the_number_that_is_shown(hundredths: int) -> 
     assert not offer.is_typed_by(Answers(typed=to + 0.01))
 
 
+def test_trials_before_a_proposal_count(measured: Measured) -> None:
+    measured.limit(0.35)
+    operator = Answers()
+    end, _ = Trials(
+        measured.fish,
+        operator,
+        Options(until=Until(3), wanted=None, proposes=True),
+        measured.folder,
+        steps=[StepEnded("health", True, "")] * 8,
+    ).run()
+    executed = sum(isinstance(one, TrialStarted) for one in operator.told)
+    assert executed == len(end.rounds) == end.counted == 3 and end.why == "swims"
+
+
 def test_another_number_raises_nothing(measured: Measured) -> None:
     measured.limit(0.35)
     of = measured.run(Answers(typed=0.5), 1)

@@ -18,11 +18,19 @@ from tailbeat.app.cli._terminal import Display
 from tailbeat.board.fish import Fish
 from tailbeat.core.records import INPUT_UPLOADED
 from tailbeat.core.reference import thesis
-from tailbeat.experiment.current import begin
+from tailbeat.experiment.current import begin, experiment_for
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import TrialLibrary, library_of
 from tailbeat.learning import fit
-from tailbeat.session.events import Event, InputChosen, StepEnded, TrialStarted
+from tailbeat.link.messages import BeatEvent
+from tailbeat.session.events import (
+    Event,
+    InputChosen,
+    Notice,
+    StepEnded,
+    TrialDecided,
+    TrialStarted,
+)
 from tailbeat.session.options import Options, Until
 from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.preflight_step import PreflightLimits
@@ -86,7 +94,7 @@ class Tank:
             found: list[Experiment] = []
 
             def experiment() -> Experiment:
-                found.append(begin(fish, Path("experiments")))
+                found.append(experiment_for(fish) or begin(fish, Path("experiments")))
                 return found[-1]
 
             end = run_start(fish, operator, StartOptions(series=options, **given), experiment)
@@ -113,7 +121,7 @@ def test_from_an_unknown_fish_to_the_bound(tank: Tank) -> None:
     errors = [1e3 * one.max_abs_error_m_s for one in end.series.records]
     assert max(errors) < 1.3 * float(bound[1]) + 2, "noise and all"
     again, operator = tank.start()
-    assert names(again) == ["health", "commission", "reference"]
+    assert names(again) == ["health", "commission", "reference", "limit", "law"]
     assert "skipped, this fish was measured" in again.steps[1].words
     assert operator.swims() == 2
 
@@ -126,6 +134,63 @@ def test_an_interrupted_commissioning_begins_again(tank: Tank) -> None:
     assert "measure" in names(end) and end.series is not None
 
 
+def test_limit_and_law_follow_when_only_they_are_missing(tank: Tank) -> None:
+    after_measuring = Agrees(lambda event: isinstance(event, StepEnded) and event.name == "measure")
+    with pytest.raises(KeyboardInterrupt):
+        tank.start(operator=after_measuring)
+    end, _ = tank.start()
+    assert names(end) == ["health", "commission", "reference", "limit", "law"]
+    with Fish(SimTransport(tank.board)) as fish:
+        assert fish.params.get("AMP_MAX_RAD").value > 0.5
+        gain, lead = fish.params.get("ILC_GAIN").value, fish.params.get("ILC_LEAD").value
+        fish.params.set("ILC_GAIN", 3.0)
+        fish.params.save()
+    tank.start()
+    with Fish(SimTransport(tank.board)) as fish:
+        held = fish.params.get("ILC_GAIN").value, fish.params.get("ILC_LEAD").value
+    assert held == (gain, lead) and gain != 3.0, "designed, and stored at every start"
+
+
+def test_a_death_in_a_measuring_run_is_put_right(tank: Tank) -> None:
+    """The computer is gone while the tail beats; the board stops by itself, with a run's input."""
+
+    class Died(BaseException):
+        pass
+
+    def dies(event: Event) -> None:
+        if isinstance(event, BeatEvent) and event.amplitude_rad > 0.3:
+            raise Died
+
+    operator = Agrees()
+    operator.tell = dies  # type: ignore[method-assign]
+    with pytest.MonkeyPatch.context() as dead, pytest.raises(Died):
+        for name in ("abort", "clear", "disarm"):
+            dead.setattr(f"tailbeat.board.fish.Fish.{name}", lambda *_, **__: None)
+        dead.setattr("tailbeat.board.preserve._put_back", lambda *_: None)
+        tank.start(operator=operator)
+    with Fish(SimTransport(tank.board)) as fish:
+        fish.abort()
+        fish.link.run(30.0)
+        assert fish.status().state == "ABORTED"
+    end, _ = tank.start()
+    assert {"measure", "law"} <= set(names(end)) and end.series is not None
+
+
+def test_a_stopped_board_is_cleared_and_the_fish_commissioned(tank: Tank) -> None:
+    with Fish(SimTransport(tank.board)) as fish:
+        fish.upload_reference(thesis().record())
+        run_trial(
+            fish, on_event=lambda event: fish.abort() if isinstance(event, TrialStarted) else None
+        )
+        assert fish.status().state == "ABORTED"
+    refused = Agrees()
+    refused.confirm = lambda question: "Clear it" not in question  # type: ignore[method-assign]
+    end, _ = tank.start(operator=refused)
+    assert end.series is None and "tailbeat board clear" in end.steps[-1].words
+    end, operator = tank.start()
+    assert "measure" in names(end) and operator.laws()[0] == "model"
+
+
 def test_a_trial_that_waits_is_decided_on_first(tank: Tank) -> None:
     tank.start()
     with Fish(SimTransport(tank.board)) as fish:
@@ -135,7 +200,10 @@ def test_a_trial_that_waits_is_decided_on_first(tank: Tank) -> None:
         assert fish.status().pending_trial is not None
         operator = Agrees()
         end = run_start(fish, operator, StartOptions(series=TWO), lambda: experiment)
-    assert names(end) == [] and end.series is not None and end.series.why == "swims"
+    assert names(end)[0] == "health" and end.series is not None and end.series.why == "swims"
+    decided = [event.trial for event in operator.told if isinstance(event, TrialDecided)]
+    begun = [event.trial for event in operator.told if isinstance(event, TrialStarted)]
+    assert decided[0] == begun[0] - 1
 
 
 def test_with_nobody_there_no_tail_moves(tank: Tank) -> None:
@@ -149,19 +217,29 @@ def test_with_nobody_there_no_tail_moves(tank: Tank) -> None:
 
 
 def test_the_board_alone_goes_on_by_its_designed_law(tank: Tank) -> None:
-    """The laptop is gone after a trial: another learns on the board, from the last input; then the
-    model-based law takes over again and the experiment knows which law made each input."""
+    """The laptop is gone after a trial: others are learned from on the board, from the last input;
+    then the model-based law takes over again, the experiment knows which law made each input, and
+    the model learns from these trials, too."""
     tank.start()
     with Fish(SimTransport(tank.board)) as fish:
         before = fish.amplitudes()
         assert before.input == INPUT_UPLOADED and fish.params.get("ILC_GAIN").value != 4.0
-        run_trial(fish)
+        number = run_trial(fish).number
         fish.learn()
         after = fish.amplitudes()
         assert after.input == 0 and not np.array_equal(before.values, after.values)
         assert np.abs(after.values - before.values).max() < 0.15 + 1e-6
+        run_trial(fish)
+        fish.learn()
     end, operator = tank.start(Options(until=Until(1), wanted=None))
-    assert operator.laws()[0] == "model" and end.series is not None
+    assert operator.laws()[0] == "model" and end.series is not None and end.experiment is not None
+    told = [event.text for event in operator.told if isinstance(event, Notice)]
+    assert any(f"trials {number} to {number + 1} were executed without" in one for one in told)
+    journal = {one["trial"]: one["law"] for one in end.experiment.journal.entries("input")}
+    assert (journal[number], journal[number + 1]) == ("model", "p")
+    with Fish(SimTransport(tank.board)) as fish:
+        held = library_of(fish)
+        assert held is not None and {number, number + 1} <= {one.trial for one in held.speeds()}
 
 
 # The law of each input.

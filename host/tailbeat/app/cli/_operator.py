@@ -258,6 +258,10 @@ class TerminalOperator:
                     display.keep(result(event))
                 self._law = event.law
                 self.table.lines(event)
+            case Assessed() if not event.stop:  # the table stays whole
+                self.display.show(event.words)
+                if event.saturation:
+                    self.display.keep(event.saturation)
             case BoardText(_, text) if self._stopped_by_hand and text == _ABORTED:
                 pass  # whoever pressed the key knows
             case _:
@@ -271,8 +275,6 @@ class TerminalOperator:
             self.display.keep(f"tailbeat: {words}", loud=True)
         elif words := result(event):
             self.display.keep(words)
-        if isinstance(event, Assessed) and event.saturation and not event.stop:
-            self.display.keep(event.saturation)
 
     def wants_abort(self) -> bool:
         """Any key, but for the Enter after an answer."""

@@ -193,16 +193,30 @@ def _root(
     del version
 
 
+_NO_COMMAND = "NoArgsIsHelpError"  # of the library that reads the words, which does not export it
 _BEFORE = {"--connect": 2, "--json": 1}  # accepted before the command, too; so many words each
 
 
 def _ordered(words: list[str]) -> list[str]:
-    """With options that were typed before the command behind it."""
+    """With options that were typed before or within the command's name behind it; without a
+    command they mean nothing and go."""
+    named: list[str] = []
     moved: list[str] = []
-    while words and (count := _BEFORE.get(words[0].partition("=")[0])):
-        count = 1 if "=" in words[0] else count
-        moved, words = [*moved, *words[:count]], words[count:]
-    return [*words, *moved] if words else moved
+    while words:
+        if count := _BEFORE.get(words[0].partition("=")[0]):
+            count = 1 if "=" in words[0] else count
+            moved, words = [*moved, *words[:count]], words[count:]
+        elif _begins_a_command([*named, words[0]]):
+            named, words = [*named, words[0]], words[1:]
+        else:
+            break
+    return [*named, *moved, *words] if named else words
+
+
+def _begins_a_command(words: list[str]) -> bool:
+    """Whether these are the first words, or all, of a command's name, an old one included."""
+    beginning = " ".join(words) + " "
+    return any(f"{typed} ".startswith(beginning) for typed in (*COMMANDS, *dict(aliases())))
 
 
 def run_command(words: list[str]) -> int:
@@ -216,6 +230,9 @@ def run_command(words: list[str]) -> int:
     except TailbeatError as error:
         return _failed(error)
     except typer.TyperException as error:
+        if type(error).__name__ == _NO_COMMAND and not json_asked.get():
+            echo(error.format_message())  # the help, as it is written
+            return error.exit_code
         return _failed(_usage_error(error), error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
         return 130
@@ -255,7 +272,7 @@ def _meant(message: str, error: Any) -> str:
     if found := _NO_CHOICE.search(message):
         return did_you_mean(found[1], re.findall(r"'([^']*)'", found[2]))
     if (option := getattr(error, "option_name", None)) and not error.possibilities:
-        return did_you_mean(option, _BEFORE)
+        return did_you_mean(option, [name for name in _BEFORE if name != option])
     return ""
 
 

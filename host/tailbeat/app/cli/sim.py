@@ -6,7 +6,7 @@ import signal
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._terminal import (
@@ -78,8 +78,10 @@ def demo(
     trials: int = opt("Runs of each law.", min=1, default=8),
     seed: int | None = opt("Same seed, same run, bit for bit; default: 1.", min=0),
     out: Path | None = opt("Folder to write; default: below experiments/."),
-    law: str = opt(
-        "both: also as 'start' leads, on a fish simulated here.", "both|p", default="both"
+    law: Literal["both", "p", "model"] = opt(
+        "p alone on any board; model: both, its trials first in --json.",
+        "both|p|model",
+        default="both",
     ),
     settings: Set = None,
     connect: str | None = opt("Learn on this board instead; vboard = flash image.", "URL"),
@@ -96,7 +98,7 @@ def demo(
             result = run_demo(options, show)
             return Output(result.as_dict(), lambda: _demo_text(result))
         both = run_both(options, show)
-    return Output(both.as_dict(), lambda: _both_text(both))
+    return Output(both.as_dict(law), lambda: _both_text(both))
 
 
 def _both_text(both: TwoLaws) -> str:

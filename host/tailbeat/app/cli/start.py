@@ -25,7 +25,8 @@ from tailbeat.session.next_law import LawName
 from tailbeat.session.options import Options, Until
 from tailbeat.session.outcome import Decision
 from tailbeat.session.preflight_step import PreflightLimits
-from tailbeat.session.start import StartEnd, StartOptions, run_start
+from tailbeat.session.presenter import result
+from tailbeat.session.start import REPORT, StartEnd, StartOptions, run_start
 
 
 def start(
@@ -72,6 +73,8 @@ def start(
     with fish_here as fish, live_camera(fish, camera) as live, terminal() as there:
         asked = StartOptions(reference, series, anew=anew)
         end = _run(fish, live, there, asked, yes)
+        if _is_reported(end):
+            there[0].keep(result(REPORT))
     page = _report(end, open_)
     status = _status(end)
     if end.series is not None and status:
@@ -85,23 +88,28 @@ def _run(fish: Fish, live: LiveCamera, there: Any, options: StartOptions, yes: b
     agrees = yes and simulated
     operator = TerminalOperator(
         display,
-        None if agrees else keys,
+        None if yes else keys,
         Decision("keep") if agrees else None,
         partial(keep_alive, fish),
         on_event=live.follow,
         agrees=agrees,
     )
-    acts = simulated if keys is None else True
+    asks = keys is not None and not yes
     folder = partial(experiment_for, fish, None, lambda text: display.keep(text, loud=True))
-    series = replace(options.series, proposes=keys is not None and not agrees)
-    given = replace(options, series=series, acts=acts and (agrees or keys is not None))
+    series = replace(options.series, proposes=asks)
+    given = replace(options, series=series, acts=agrees or asks)
     return run_start(fish, operator, given, folder, live.camera, live.guard)
+
+
+def _is_reported(end: StartEnd) -> bool:
+    return end.experiment is not None and end.series is not None and bool(end.series.rounds)
 
 
 def _report(end: StartEnd, show: bool) -> Path | None:
     """The page of the experiment; in a browser where there is a person to look at it."""
-    if end.experiment is None or end.series is None or not end.series.rounds:
+    if not _is_reported(end):
         return None
+    assert end.experiment is not None
     page = write_report(end.experiment).page
     write_redo(end.experiment)
     if show and not json_asked.get() and sys.stderr.isatty():

@@ -88,7 +88,7 @@ def _errors(axes: Axes, runs: Sequence[LawRun], bound_m_s: float | None) -> None
         axes.plot(best, size, "o", ms=10, mfc="none", mec=look.colour, mew=1.0, zorder=5)
         shown += y
     if bound_m_s is not None:
-        words = f"error bound {mm(bound_m_s)}:\nless only by luck"
+        words = f"error bound {mm(bound_m_s)}\nwithout noise"
         how = {"fontsize": PAGE.small_pt, "ls": DASHED, "color": INK, "lw": 0.8}
         level(axes, bound_m_s * 1e3, words, left=True, above=False, **how)
         shown.append(bound_m_s * 1e3)
@@ -106,7 +106,7 @@ def _measuring(axes: Axes, count: int) -> None:
         return
     axes.axvspan(0.4, count + 0.5, color=_REFERENCE, alpha=0.5, lw=0, zorder=0.2)
     axes.annotate(
-        f"{count} runs in which\nstart measures the fish", (0.02, 0.03),
+        f"{count} runs to\nmeasure the fish", (0.02, 0.03),
         xycoords="axes fraction", fontsize=PAGE.small_pt, color=INK, va="bottom", zorder=6,
     )  # fmt: skip
 

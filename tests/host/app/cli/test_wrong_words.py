@@ -30,6 +30,7 @@ SIM = ("--connect", "sim")
         (("sim", "montecarlo", "designd-law"), "designed-law"),
         (("sim", "thesis", "ch2-ex3"), "ch2-ex1"),
         (("info", "--connect", "smi"), "sim"),
+        (("sim", "demo", "--law", "modle"), "model"),
     ],
 )
 def test_the_word_that_was_meant(
@@ -47,6 +48,32 @@ def test_connect_and_json_stand_before_the_command_too(capsys: pytest.CaptureFix
     before = capsys.readouterr().out
     assert run(["params", "get", "ILC_GAIN", "--connect", "sim", "--json"]) == 0
     assert before == capsys.readouterr().out and before.startswith("{")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--connect", "sim", "trial", "list"),
+        ("trial", "--connect", "sim", "list"),
+        ("trial", "list", "--connect=sim"),
+        ("--connect", "sim", "--version"),
+    ],
+)
+def test_connect_stands_anywhere(words: tuple[str, ...]) -> None:
+    assert run(list(words)) == 0
+
+
+@pytest.mark.parametrize("words", [(), ("trial",), ("--connect", "sim")])
+def test_without_a_command_the_help_is_shown(
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(list(words)) == 2
+    assert capsys.readouterr().out.startswith("Usage: tailbeat")
+
+
+def test_an_option_that_a_command_lacks_is_not_proposed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--connect", "sim", "report"]) == 2
+    assert "Did you mean" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("columns", [40, 60, 80])
