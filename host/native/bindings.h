@@ -19,6 +19,7 @@
 #include "ilc/memory.h"
 #include "imu/imu.h"
 #include "imu/line.h"
+#include "imu_batch.h"
 #include "learn_past.h"
 #include "params/params.h"
 #include "shoal.h"

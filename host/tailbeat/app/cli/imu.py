@@ -31,6 +31,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, LinkLostError, TransferError
 from tailbeat.core.files import plain
 from tailbeat.link.messages import ImuFrame, ImuInfo, imu_health
+from tailbeat.sensors.vn100.batch import BatchReader, decode_rows
 from tailbeat.sensors.vn100.decode import AsciiLine, Message, Reader
 from tailbeat.sensors.vn100.decode import decode as decode_chunks
 from tailbeat.sensors.vn100.live import (
@@ -146,6 +147,7 @@ def _silent(fish: Fish) -> TransferError:
     )
 
 
+_CHUNK_BYTES = 1 << 20
 _DROPOUTS_SHOWN = 10
 _LINE_EVERY_S = 0.2
 _SILENT_S = 2.0
@@ -192,20 +194,30 @@ def decode(
 
 
 def _recording(name: str, csv: Path | None) -> Output:
-    reader, summary = Reader(), StreamSummary()
-    with _csv_files(csv, live=False) as files:
-        for message in decode_chunks(_chunks(name), reader):
-            summary.add(message)
-            if files is not None:
-                files.add(message)
-    document = _summary(name, summary, reader, files)
-    if summary.messages:
+    document = _read_rows(name) if csv is None else _read_messages(name, csv)
+    if document["binary_valid"] + document["ascii_valid"]:
         return Output(document, lambda: _summary_text(document))
     return Output(document, error=InputError(*_nothing(name, document)))
 
 
+def _read_rows(name: str) -> dict[str, Any]:
+    reader, summary = BatchReader(), StreamSummary()
+    for rows in decode_rows(_chunks(name), reader):
+        summary.add_rows(rows, reader)
+    return _summary(name, summary, reader, None)
+
+
+def _read_messages(name: str, csv: Path) -> dict[str, Any]:
+    reader, summary = Reader(), StreamSummary()
+    with CsvFiles(csv, live=False) as files:
+        for message in decode_chunks(_chunks(name), reader):
+            summary.add(message)
+            files.add(message)
+    return _summary(name, summary, reader, files)
+
+
 def _summary(
-    name: str, summary: StreamSummary, reader: Reader, files: CsvFiles | None
+    name: str, summary: StreamSummary, reader: Reader | BatchReader, files: CsvFiles | None
 ) -> dict[str, Any]:
     document = {"source": name} | summary.document(reader.counters, reader.bytes)
     return document | {"csv_files": files.paths if files is not None else []}
@@ -225,7 +237,7 @@ def _nothing(name: str, document: dict[str, Any]) -> tuple[str, str]:
 def _chunks(name: str) -> Iterator[bytes]:
     with contextlib.ExitStack() as stack:
         file = sys.stdin.buffer if name == "-" else stack.enter_context(Path(name).open("rb"))
-        while chunk := file.read(1 << 16):
+        while chunk := file.read(_CHUNK_BYTES):
             yield chunk
 
 

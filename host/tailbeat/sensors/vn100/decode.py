@@ -126,6 +126,12 @@ class Counters:
     skipped_bytes: int
 
 
+def counters_of(reader: Any) -> Counters:
+    """The counters of an ``imu_reader_t``."""
+    c = reader.counters
+    return Counters(*(int(getattr(c, name)) for name in Counters.__dataclass_fields__))
+
+
 class Reader:
     """Takes bytes in chunks of any size and gives the messages in them, each once.
 
@@ -186,8 +192,7 @@ class Reader:
     @property
     def counters(self) -> Counters:
         """What was read so far."""
-        c = self._reader.counters
-        return Counters(*(int(getattr(c, name)) for name in Counters.__dataclass_fields__))
+        return counters_of(self._reader)
 
     def _take(self) -> Message:
         message = self._message

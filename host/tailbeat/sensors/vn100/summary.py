@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tailbeat.core.imu_fields import error_words
+from tailbeat.sensors.vn100.batch import BatchReader, RowKind, Rows
 from tailbeat.sensors.vn100.decode import AsciiLine, Binary, Counters, Message, Values
 
 BITS_PER_BYTE = 10  # 8N1
@@ -68,6 +70,13 @@ class _Stream:
         if time_ns is not None:
             self.times.append(int(time_ns))
             self.offsets.append(message.offset)
+
+    def add_rows(self, rows: Rows, kind: RowKind) -> None:
+        self.frames += len(rows)
+        self.frame_bytes = kind.frame_bytes
+        if kind.has_time:
+            self.times.frombytes(rows["time_ns"].tobytes())
+            self.offsets.frombytes(rows["offset"].tobytes())
 
     def report(self, kind: str) -> StreamReport:
         # Half the range of a uint64 is 292 years.
@@ -139,6 +148,35 @@ class StreamSummary:
             self._streams.setdefault(message.kind, _Stream()).add(message)
         else:
             self._add_line(message)
+
+    def add_rows(self, rows: Rows, reader: BatchReader) -> None:
+        """Take more messages in, in order.
+
+        Parameters
+        ----------
+        rows : Rows
+            Of ``decode_rows``.
+        reader : BatchReader
+            That they are from.
+        """
+        if not len(rows):
+            return
+        self.end_of_last = reader.end_of_last
+        numbers, is_line = rows["kind"], np.array([not kind.frame_bytes for kind in reader.kinds])
+        lines = is_line[numbers]
+        self._crc_chain = _chained_all(self._crc_chain, rows["check"][~lines])
+        self._check_chain = _chained_all(self._check_chain, rows["check"][lines])
+        for number, count in enumerate(np.bincount(numbers, minlength=len(is_line)).tolist()):
+            kind = reader.kinds[number]
+            if count and kind.frame_bytes:
+                self.binary_valid += count
+                stream = self._streams.setdefault(kind.name, _Stream())
+                stream.add_rows(rows[numbers == number], kind)
+            elif count:
+                self.ascii_valid += count
+                self.ascii_types[kind.name] = self.ascii_types.get(kind.name, 0) + count
+        for code in rows["error"][rows["error"] != 0].tolist():
+            self.errors[code] = self.errors.get(code, 0) + 1
 
     def _add_line(self, line: AsciiLine) -> None:
         self.ascii_valid += 1
@@ -272,6 +310,15 @@ def _losses(streams: list[StreamReport]) -> list[str]:
 
 def _chained(chain: int, check: int) -> int:
     return (chain * _CHAIN_FACTOR + check) & _CHAIN_MASK
+
+
+def _chained_all(chain: int, checks: NDArray[np.uint16]) -> int:
+    """As if each check was chained by itself: a polynomial in the factor, modulo 2^32."""
+    powers = np.full(len(checks) + 1, _CHAIN_FACTOR, np.uint32)
+    powers[0] = 1
+    powers = np.cumprod(powers, dtype=np.uint32)
+    added = int(np.sum(powers[-2::-1] * checks, dtype=np.uint32))
+    return (chain * int(powers[-1]) + added) & _CHAIN_MASK
 
 
 def plain_values(values: Values) -> dict[str, float | int | None]:
