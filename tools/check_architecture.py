@@ -24,9 +24,10 @@ PACKAGE = "tailbeat"
 # grew four times: by a second plant, learned scatter, honest sigmas and the IMU's calibration; by
 # the guided job (start, health, measure, the law of each input); by the diagnosis of every
 # trial, the stream of what the board reports, the demo's two laws and the
-# page that leads through the whole job; by recordings as rows.
-FILES_MAX = 256
-CODE_LINES_MAX = 42_790
+# page that leads through the whole job; by recordings as rows and
+# fits of many trials at once.
+FILES_MAX = 257
+CODE_LINES_MAX = 42_900
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

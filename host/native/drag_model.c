@@ -16,12 +16,21 @@ typedef struct {
     double way_by_kappa, v_by_kappa;
 } piece_t;
 
+/* What the wake does in a piece of time: it keeps |kept| of what it was, and its mean |mean| of
+ * what it differs from the thrust at the begin. */
+typedef struct {
+    double kept, mean;
+    double kept_by_s, mean_by_s; /* by the time constant */
+    double time_s;               /* of the piece; 0 = none yet */
+} fading_t;
+
 /* The whole state: distance, speed and wake, with their derivatives. */
 typedef struct {
     const drag_model_t *model;
     double x_m, v_m_s, wake;
     double *x_by_w, *v_by_w, *wake_by_w; /* the row that is being filled; NULL = not asked for */
     double x_by[BY_MODEL], v_by[BY_MODEL], wake_by[BY_MODEL];
+    fading_t fading; /* of the last piece: most are as long as the one before */
 } swim_t;
 
 /* With c = cosh z, s = kt*sinh(z)/z, z = kt*sqrt(w), all scaled by exp(-z) so that nothing
@@ -47,20 +56,13 @@ static piece_t piece(double kappa, double w, double v, double time_s) {
         .way_m = way,
         .v_m_s = next,
         .way_by_v = s / (kappa * d),
-        .v_by_v = exp(-2 * z) / (d * d),
+        .v_by_v = decay / (d * d),
         .way_by_w = d_by_w / (kappa * d),
         .v_by_w = (v * dc + s + w * ds - next * d_by_w) / d,
         .way_by_kappa = (time_s * next - way) / kappa,
         .v_by_kappa = time_s * (w - next * next),
     };
 }
-
-/* What the wake does in a piece of time: it keeps |kept| of what it was, and its mean |mean| of
- * what it differs from the thrust at the begin. */
-typedef struct {
-    double kept, mean;
-    double kept_by_s, mean_by_s; /* by the time constant */
-} fading_t;
 
 static fading_t fading(double wake_s, double time_s) {
     const double ratio = time_s / wake_s;
@@ -71,6 +73,7 @@ static fading_t fading(double wake_s, double time_s) {
         .mean = gone / ratio,
         .kept_by_s = kept * ratio / wake_s,
         .mean_by_s = gone / time_s - kept / wake_s,
+        .time_s = time_s,
     };
 }
 
@@ -99,9 +102,29 @@ static void add_to_beat(swim_t *swim, const piece_t *p, size_t beat, double forc
 }
 
 static void carry_beats(swim_t *swim, const piece_t *p, ptrdiff_t beat) {
+    double *restrict x_by_w = swim->x_by_w;
+    double *restrict v_by_w = swim->v_by_w;
+    const double way_by_v = p->way_by_v, v_by_v = p->v_by_v;
     for (ptrdiff_t j = 0; j <= beat; j++) {
-        swim->x_by_w[j] += p->way_by_v * swim->v_by_w[j];
-        swim->v_by_w[j] *= p->v_by_v;
+        x_by_w[j] += way_by_v * v_by_w[j];
+        v_by_w[j] *= v_by_v;
+    }
+}
+
+/* As carry_beats(), and what the wake of each beat does. */
+static void carry_wakes(swim_t *swim, const piece_t *p, const fading_t *f, ptrdiff_t beat) {
+    double *restrict x_by_w = swim->x_by_w;
+    double *restrict v_by_w = swim->v_by_w;
+    double *restrict wake_by_w = swim->wake_by_w;
+    const double acting = swim->model->wake_share * f->mean, kept = f->kept;
+    const piece_t own = *p;
+    for (ptrdiff_t j = 0; j <= beat; j++) {
+        const double force_by_w = acting * wake_by_w[j];
+        x_by_w[j] += own.way_by_v * v_by_w[j];
+        v_by_w[j] *= own.v_by_v;
+        x_by_w[j] += own.way_by_w * force_by_w;
+        v_by_w[j] += own.v_by_w * force_by_w;
+        wake_by_w[j] *= kept;
     }
 }
 
@@ -120,7 +143,10 @@ static void advance_at_once(swim_t *swim, double thrust, ptrdiff_t beat, double 
 /* With one, over a piece that is short beside its time constant. */
 static void advance_late(swim_t *swim, double thrust, ptrdiff_t beat, double time_s) {
     const double share = swim->model->wake_share;
-    const fading_t f = fading(swim->model->wake_s, time_s);
+    if (swim->fading.time_s != time_s) {
+        swim->fading = fading(swim->model->wake_s, time_s);
+    }
+    const fading_t f = swim->fading;
     const double off = swim->wake - thrust;
     double f_by[BY_MODEL];
     for (size_t i = 0; i < BY_MODEL; i++) {
@@ -135,11 +161,7 @@ static void advance_late(swim_t *swim, double thrust, ptrdiff_t beat, double tim
     if (swim->x_by_w == NULL) {
         return;
     }
-    carry_beats(swim, &p, beat);
-    for (ptrdiff_t j = 0; j <= beat; j++) {
-        add_to_beat(swim, &p, (size_t)j, share * f.mean * swim->wake_by_w[j]);
-        swim->wake_by_w[j] *= f.kept;
-    }
+    carry_wakes(swim, &p, &f, beat);
     if (beat >= 0) {
         add_to_beat(swim, &p, (size_t)beat, 1 - share * f.mean);
         swim->wake_by_w[beat] += 1 - f.kept;

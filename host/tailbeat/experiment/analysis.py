@@ -13,6 +13,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -111,7 +112,7 @@ class Analysis:
         best = best_of([score for _, score in pairs])
         return next((row for row, score in pairs if score is best), None)
 
-    @property
+    @cached_property
     def judged(self) -> list[tuple[TrialRow, Score]]:
         """Those of the last epoch that are complete and count."""
         return [

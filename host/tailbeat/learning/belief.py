@@ -18,7 +18,7 @@ import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.learning.fish_model import NUMBERS, Conditions, FishModel, TrialSpeeds
-from tailbeat.learning.fit import Fit, Prior, Robust, fit_robust, speed_and_slopes
+from tailbeat.learning.fit import Fit, Prior, Robust, fit_robust
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.prediction import (
     AGED,
@@ -32,6 +32,7 @@ from tailbeat.learning.prediction import (
     explain,
 )
 from tailbeat.learning.scatter import STD_ABS, Scatter
+from tailbeat.learning.slopes import speed_and_slopes
 
 FALSE_ALARM = 1e-3  # of the test of one regular trial by the best explanation of it
 MEMORY_TRIALS = 20  # older ones no longer count
@@ -79,6 +80,9 @@ class Belief:
     explanation: str = "regular"
     changes: tuple[Change, ...] = ()
     before: Belief | None = None
+    _filtered: dict[tuple[int, int], tuple[F64, F64, F64 | None]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def refuted(self) -> bool:
@@ -160,6 +164,19 @@ class Belief:
         a Kalman filter along its trials. (m/s, m^2/s^2) The covariance is that of a trial with
         ``amplitude_rad`` (None = of one like the last): where amplitudes change, the model may be
         wrong anew."""
+        mean, covariance, last = self._repeating(reference_crc, beats)
+        if amplitude_rad is not None:
+            covariance = covariance + np.diag(self._unknown(last, amplitude_rad))
+        return mean, (covariance + covariance.T) / 2
+
+    def _repeating(self, reference_crc: int, beats: int) -> tuple[F64, F64, F64 | None]:
+        """(mean, covariance, amplitudes of the last trial) of the Kalman filter, kept."""
+        kept = self._filtered.get((reference_crc, beats))
+        if kept is None:
+            kept = self._filtered[reference_crc, beats] = self._filter(reference_crc, beats)
+        return kept
+
+    def _filter(self, reference_crc: int, beats: int) -> tuple[F64, F64, F64 | None]:
         mean = np.zeros(beats)
         apart = np.abs(np.subtract.outer(np.arange(beats), np.arange(beats)))
         repeats_m_s = max(_REPEATS_M_S, self.misfit_m_s)
@@ -178,9 +195,7 @@ class Belief:
             gain = np.linalg.solve(covariance[np.ix_(seen, seen)] + noise, covariance[seen]).T
             mean = mean + gain @ (residual[seen] - mean[seen])
             covariance = covariance - gain @ covariance[seen]
-        if amplitude_rad is not None:
-            covariance = covariance + np.diag(self._unknown(last, amplitude_rad))
-        return mean, (covariance + covariance.T) / 2
+        return mean, covariance, last
 
     def _noise(self, trial: TrialSpeeds) -> F64:
         """Of a trial's beats beyond what repeats, (beats, beats)."""

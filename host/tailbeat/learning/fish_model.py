@@ -147,7 +147,30 @@ class FishModel:
         distance = np.empty(rows)
         by_w = np.empty((rows, len(w))) if slopes else None
         by_model = np.empty((rows, 6)) if slopes else None
+        self._solve(w, beat_s, start_m_s, parts, distance, by_w, by_model)
+        return distance, by_w, by_model
 
+    def distances(self, w: F64, beat_s: float, start_m_s: Sequence[float]) -> tuple[F64, F64, F64]:
+        """``distance`` with slopes at the ends of beats, of trials with the thrusts ``w``, shape
+        (trials, beats), and a start each: the same arrays, one after the other."""
+        w = np.ascontiguousarray(w, dtype=np.float64)
+        count, beats = w.shape
+        distance = np.empty((count, beats + 1))
+        by_w, by_model = np.empty((count, beats + 1, beats)), np.empty((count, beats + 1, 6))
+        for row, start in enumerate(start_m_s):
+            self._solve(w[row], beat_s, start, 1, distance[row], by_w[row], by_model[row])
+        return distance, by_w, by_model
+
+    def _solve(
+        self,
+        w: F64,
+        beat_s: float,
+        start_m_s: float,
+        parts: int,
+        distance: F64,
+        by_w: F64 | None,
+        by_model: F64 | None,
+    ) -> None:
         def pointer(array: F64 | None) -> object:
             return ffi.NULL if array is None else ffi.from_buffer("double[]", array)
 
@@ -163,7 +186,6 @@ class FishModel:
                 f"the model makes no sense: {self}.",
                 "Look at its numbers; identify the fish again.",
             )
-        return distance, by_w, by_model
 
 
 @dataclass(frozen=True)

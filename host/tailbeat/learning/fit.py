@@ -21,19 +21,9 @@ from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.learning.fish_model import (
-    BY_DELAY,
-    BY_KAPPA,
-    BY_LINEAR,
-    BY_SHARE,
-    BY_START,
-    BY_WAKE_S,
-    NUMBERS,
-    Conditions,
-    FishModel,
-    TrialSpeeds,
-)
-from tailbeat.learning.scatter import Scatter, beat_covariance, learned, weights_of
+from tailbeat.learning.fish_model import NUMBERS, Conditions, FishModel, TrialSpeeds
+from tailbeat.learning.scatter import Scatter, learned, weights_of
+from tailbeat.learning.slopes import groups_of
 
 
 @dataclass(frozen=True)
@@ -257,10 +247,7 @@ class _Problem:
     ) -> None:
         count = len(trials)
         self.trials, self.weights = trials, weights
-        self.white = [
-            _whitener(trial, prior.model, scatter, weight)
-            for trial, weight in zip(trials, weights, strict=True)
-        ]
+        self.groups = groups_of(trials, prior.model, scatter, weights)
         usual = [scatter.start_m_s, scatter.flow_m_s, scatter.gain]
         differ = np.maximum(usual, _SIGMA_MIN) / np.sqrt(weights)[:, None]
         own = np.column_stack([np.zeros(count), centres])
@@ -287,15 +274,10 @@ class _Problem:
         off = (x - self.centre) / self.spread
         cost, gradient = float(off @ off), off / self.spread
         curvature = np.diag(1 / self.spread**2)
-        for index, (trial, white) in enumerate(zip(self.trials, self.white, strict=True)):
-            speed, by = speed_and_slopes(model, trial, self.conditions(x, index))
-            seen = trial.measured
-            miss = white @ (speed[seen] - trial.speed_m_s[seen])
-            slopes = white @ by[seen]
+        for index, (squares, pull, both) in enumerate(self._squares(model, x)):
             at = _SHARED + _CONDITIONS * index
             own = slice(at, at + _CONDITIONS)
-            both, pull = slopes.T @ slopes, slopes.T @ miss
-            cost += float(miss @ miss)
+            cost += float(squares)
             gradient[:_SHARED] += pull[:_SHARED]
             gradient[own] += pull[_SHARED:]
             curvature[:_SHARED, :_SHARED] += both[:_SHARED, :_SHARED]
@@ -303,6 +285,15 @@ class _Problem:
             curvature[own, :_SHARED] = both[_SHARED:, :_SHARED]
             curvature[own, own] += both[_SHARED:, _SHARED:]
         return cost, gradient, curvature
+
+    def _squares(self, model: FishModel, x: F64) -> list[tuple[F64, F64, F64]]:
+        """What ``TrialGroup.squares`` has of each trial, in their order."""
+        found: list[tuple[F64, F64, F64]] = [(np.zeros(0),) * 3] * len(self.trials)
+        for group in self.groups:
+            rows = group.squares(model, [self.conditions(x, index) for index in group.at])
+            for index, row in zip(group.at, zip(*rows, strict=True), strict=True):
+                found[index] = row
+        return found
 
     def solved(self, x: F64) -> Fit:
         """The answer that the vector stands for."""
@@ -330,43 +321,13 @@ class _Problem:
         )
 
     def _oddness(self, residual: Sequence[F64]) -> F64:
-        rows = zip(self.trials, self.white, self.weights, residual, strict=True)
-        squares = [
-            float(np.mean((white @ left[trial.measured]) ** 2)) / weight if white.size else 1.0
-            for trial, white, weight, left in rows
-        ]
-        return np.array(squares)
-
-
-def _whitener(trial: TrialSpeeds, model: FishModel, scatter: Scatter, weight: float) -> F64:
-    """What makes the measured beats' noise white and of size 1, (seen, seen)."""
-    seen = trial.measured
-    noise = beat_covariance(trial, model, scatter)[np.ix_(seen, seen)]
-    white: F64 = np.linalg.inv(np.linalg.cholesky(noise / weight))
-    return white
-
-
-def speed_and_slopes(model: FishModel, trial: TrialSpeeds, given: Conditions) -> tuple[F64, F64]:
-    """Beat means and their derivatives by ``vector_of`` and (start, flow, log gain)."""
-    root = model.root(trial.amplitude_rad)
-    thrust = (given.gain * root) ** 2
-    distance, by_w, by_model = model.distance(thrust, trial.beat_s, given.start_m_s, slopes=True)
-    assert by_w is not None and by_model is not None
-    mean_by_w = np.diff(by_w, axis=0) / trial.beat_s
-    by = np.diff(by_model, axis=0) / trial.beat_s
-    by_root = 2 * root * given.gain**2
-    beyond = np.maximum(trial.amplitude_rad - model.dead_zone_rad, 0.0)
-    thrust_by = np.column_stack(
-        [2 * thrust, -by_root * model.root_slope(trial.amplitude_rad),
-         by_root * model.slope_m_s_rad * beyond**2]
-    )  # fmt: skip
-    scale, dead_zone, bend = (mean_by_w @ thrust_by).T
-    columns = [
-        by[:, BY_KAPPA] * model.kappa_per_m, scale, dead_zone, by[:, BY_DELAY], bend,
-        by[:, BY_LINEAR], by[:, BY_SHARE], by[:, BY_WAKE_S] * model.wake_s,
-        by[:, BY_START], np.ones(trial.beats), scale,
-    ]  # fmt: skip
-    return np.diff(distance) / trial.beat_s + given.flow_m_s, np.column_stack(columns)
+        found = np.ones(len(self.trials))
+        for group in self.groups:
+            for index, white in zip(group.at, group.white, strict=True):
+                if white.size:
+                    left = residual[index][self.trials[index].measured]
+                    found[index] = float(np.mean((white @ left) ** 2)) / self.weights[index]
+        return found
 
 
 def _levenberg_marquardt(problem: _Problem, x: F64) -> F64:

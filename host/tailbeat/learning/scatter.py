@@ -59,9 +59,15 @@ class Scatter:
         return variance
 
 
+def beat_variance(trial: TrialSpeeds, model: FishModel, scatter: Scatter) -> F64:
+    """Variance of measured minus modelled speeds that neighbouring beats do not share."""
+    own: F64 = trial.sigma_m_s**2 + scatter.alone(model, trial.amplitude_rad)
+    return own
+
+
 def beat_covariance(trial: TrialSpeeds, model: FishModel, scatter: Scatter) -> F64:
     """Covariance of measured minus modelled speeds, conditions known, (beats, beats)."""
-    own = trial.sigma_m_s**2 + scatter.alone(model, trial.amplitude_rad)
+    own = beat_variance(trial, model, scatter)
     noise: F64 = scatter.moving(trial.beats, trial.beat_s) + np.diag(own)
     return noise
 

@@ -216,15 +216,15 @@ def _half_width(relative: F64, expected_sigma: float) -> float:
     counts as four degrees of freedom; never narrower than expected."""
     from statistics import NormalDist
 
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
     freedom = len(relative) - 1
-    prior = expected_sigma * -NormalDist().inv_cdf(_TAIL) / float(t.ppf(1 - _TAIL, _PRIOR_FREEDOM))
+    usual = expected_sigma * -NormalDist().inv_cdf(_TAIL)  # a few trials may be alike by chance
+    prior = usual / float(stdtrit(_PRIOR_FREEDOM, 1 - _TAIL))
     squares = float(np.sum((relative - relative.mean()) ** 2))
     together = _PRIOR_FREEDOM + freedom
     sigma = math.sqrt((_PRIOR_FREEDOM * prior**2 + squares) / together)
-    usual = expected_sigma * -NormalDist().inv_cdf(_TAIL)  # a few trials may be alike by chance
-    half = max(float(t.ppf(1 - _TAIL, together)) * sigma, usual)
+    half = max(float(stdtrit(together, 1 - _TAIL)) * sigma, usual)
     return half * math.sqrt(1 + 1 / len(relative))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
-from tailbeat.learning.fit import model_of, speed_and_slopes, vector_of
+from tailbeat.learning.fit import model_of, vector_of
 from tailbeat.learning.prediction import (
     OTHER,
     REGULAR,
@@ -18,6 +18,7 @@ from tailbeat.learning.prediction import (
     explain,
 )
 from tailbeat.learning.scatter import Scatter
+from tailbeat.learning.slopes import speed_and_slopes
 
 BEATS = 40
 MODEL = FishModel(10.0, 0.2, 0.1, 0.3, 0.0, 0.004, 0.15, 1.0)
