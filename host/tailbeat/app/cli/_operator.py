@@ -259,7 +259,7 @@ class TerminalOperator:
                 self._law = event.law
                 self.table.lines(event)
             case Assessed() if not event.stop:  # the table stays whole
-                self.display.show(event.words)
+                (display.show if display.moves else display.keep)(event.words)
                 if event.saturation:
                     self.display.keep(event.saturation)
             case BoardText(_, text) if self._stopped_by_hand and text == _ABORTED:
