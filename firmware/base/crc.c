@@ -1,5 +1,7 @@
 #include "base/crc.h"
 
+#if defined(__ARM_ARCH_PROFILE) && __ARM_ARCH_PROFILE == 'M'
+
 /* Four bits per step: 64 bytes of flash. Files are small, and the flash is slower than the sum. */
 static const uint32_t crc32_nibble[16] = {
     0x00000000u, 0x1DB71064u, 0x3B6E20C8u, 0x26D930ACu, 0x76DC4190u, 0x6B6B51F4u,
@@ -16,6 +18,48 @@ uint32_t crc32_update(uint32_t crc, const void *bytes, size_t length) {
     }
     return crc;
 }
+
+#else
+
+/* Where memory is plenty: four bytes per step. The sum of a byte is the sum of those of its bits,
+ * so a table follows from eight entries. The simulated board needs it for every status it sends:
+ * counted by callgrind for 63 bytes (x86-64, gcc -O2), 304 instructions instead of 833. */
+#define XOR1(x, a) (x), (x) ^ (a)
+#define XOR2(x, a, b) XOR1(x, a), XOR1((x) ^ (b), a)
+#define XOR3(x, a, b, c) XOR2(x, a, b), XOR2((x) ^ (c), a, b)
+#define XOR4(x, a, b, c, d) XOR3(x, a, b, c), XOR3((x) ^ (d), a, b, c)
+#define XOR5(x, a, b, c, d, e) XOR4(x, a, b, c, d), XOR4((x) ^ (e), a, b, c, d)
+#define XOR6(x, a, b, c, d, e, f) XOR5(x, a, b, c, d, e), XOR5((x) ^ (f), a, b, c, d, e)
+#define XOR7(x, a, b, c, d, e, f, g) XOR6(x, a, b, c, d, e, f), XOR6((x) ^ (g), a, b, c, d, e, f)
+#define XOR8(x, a, b, c, d, e, f, g, h)                                                            \
+    XOR7(x, a, b, c, d, e, f, g), XOR7((x) ^ (h), a, b, c, d, e, f, g)
+
+/* [k]: a byte with k bytes behind it. */
+static const uint32_t crc32_byte[4][256] = {
+    {XOR8(0, 0x77073096u, 0xEE0E612Cu, 0x076DC419u, 0x0EDB8832u, 0x1DB71064u, 0x3B6E20C8u,
+          0x76DC4190u, 0xEDB88320u)},
+    {XOR8(0, 0x191B3141u, 0x32366282u, 0x646CC504u, 0xC8D98A08u, 0x4AC21251u, 0x958424A2u,
+          0xF0794F05u, 0x3B83984Bu)},
+    {XOR8(0, 0x01C26A37u, 0x0384D46Eu, 0x0709A8DCu, 0x0E1351B8u, 0x1C26A370u, 0x384D46E0u,
+          0x709A8DC0u, 0xE1351B80u)},
+    {XOR8(0, 0xB8BC6765u, 0xAA09C88Bu, 0x8F629757u, 0xC5B428EFu, 0x5019579Fu, 0xA032AF3Eu,
+          0x9B14583Du, 0xED59B63Bu)},
+};
+
+uint32_t crc32_update(uint32_t crc, const void *bytes, size_t length) {
+    const uint8_t *next = bytes;
+    for (; length >= 4; length -= 4, next += 4) {
+        crc ^= (uint32_t)next[3] << 24 | (uint32_t)next[2] << 16 | (uint32_t)next[1] << 8 | next[0];
+        crc = crc32_byte[3][crc & 0xFFu] ^ crc32_byte[2][crc >> 8 & 0xFFu] ^
+              crc32_byte[1][crc >> 16 & 0xFFu] ^ crc32_byte[0][crc >> 24];
+    }
+    for (; length > 0; length--, next++) {
+        crc = crc >> 8 ^ crc32_byte[0][(crc ^ *next) & 0xFFu];
+    }
+    return crc;
+}
+
+#endif
 
 /*
  * CRC-16 without a table. Modulo its polynomial x^16 = x^12 + x^5 + 1, and squaring keeps a sum of

@@ -2,6 +2,7 @@
 
 #include "base/panic.h"
 
+#include <math.h>
 #include <string.h>
 
 #define EXPONENT_ALL_ONES 0x7F800000u
@@ -44,6 +45,18 @@ uint64_t real_whole_u64(float x) {
     return shift >= 0 ? mantissa << shift : mantissa >> -shift;
 }
 
+#if defined(__SSE2__) || defined(__aarch64__)
+
+/* IEEE-754 has the processor's own root correctly rounded, as the one below. */
+float real_sqrt(float x) {
+    if (x > 0.0f) {
+        return sqrtf(x);
+    }
+    return x <= 0.0f ? 0.0f : x;
+}
+
+#else
+
 /* Largest 25-bit root with root * root <= square, bit by bit. */
 static uint32_t integer_root(uint64_t square) {
     uint32_t root = 0;
@@ -83,6 +96,8 @@ float real_sqrt(float x) {
     const uint32_t root = (integer_root((uint64_t)mantissa << 25) + 1u) >> 1;
     return of_bits(((uint32_t)(exponent / 2 + EXPONENT_BIAS) << 23) + (root - HIDDEN_BIT));
 }
+
+#endif
 
 /* sin(pi*x) for 0 <= x <= 1/2. Minimax fit of degree 9, then the last bits of the coefficients
  * chosen so that the float32 value is 1 at 1/2 and never above; error below 1.8e-7 over 400 000

@@ -39,6 +39,23 @@ static void follow(felt_t *felt, felt_frame_t *frame, const plant_t *plant, doub
     }
 }
 
+/* The tank's fish swims straight on for whole trials. */
+static void look_ahead(const felt_t *felt, felt_frame_t *frame) {
+    const double heading = frame->heading_rad[0] + 0.0; /* as along() has it: -0 becomes 0 */
+    frame->straight = true;
+    for (unsigned i = 1; i <= SUBSTEPS; i++) {
+        frame->straight = frame->straight && frame->heading_rad[i] == frame->heading_rad[0];
+    }
+    const felt_frame_t *before = &felt->frame[(felt->frames - 2) % FELT_FRAMES];
+    if (felt->frames > 1 && before->straight && before->heading_rad[0] == heading) {
+        frame->sine = before->sine;
+        frame->cosine = before->cosine;
+    } else if (frame->straight) {
+        frame->sine = sin(heading);
+        frame->cosine = cos(heading);
+    }
+}
+
 void felt_init(felt_t *felt, const sim_config_t *config) {
     felt->roll_per_tail = config->roll_per_tail * cos(config->roll_lag_rad);
     felt->roll_s = -config->roll_per_tail * sin(config->roll_lag_rad) * config->beat_s / TWO_PI;
@@ -65,6 +82,9 @@ static void tremble(const felt_t *felt, uint64_t time_us, double out[3]) {
 }
 
 static void turned(const felt_t *felt, uint64_t time_us, double out[3]) {
+    if (!felt->by_hand) {
+        return;
+    }
     const double since_s = (double)(int64_t)(time_us - felt->turn_begin_us);
     const double whole_s = (double)(felt->turn_end_us - felt->turn_begin_us);
     const double u = since_s <= 0 ? 0 : since_s >= whole_s ? 1 : since_s / whole_s;
@@ -81,6 +101,7 @@ void felt_turn(felt_t *felt, const double angle_rad[3], double within_s, uint64_
         felt->turn_from_rad[i] = from[i];
         felt->turn_to_rad[i] = angle_rad[i];
     }
+    felt->by_hand = true;
     felt->turn_begin_us = now_us;
     felt->turn_end_us = now_us + (uint64_t)(within_s * 1e6);
 }
@@ -108,6 +129,7 @@ void felt_frame(felt_t *felt, const plant_t *plant, bool in_hand, double tail_fr
     frame->begin_us = begin_us;
     frame->end_us = end_us;
     follow(felt, frame, plant, length_s);
+    look_ahead(felt, frame);
     hold(felt, frame, in_hand);
     frame->tail_rad[0] = tail_from_rad;
     frame->tail_rad[1] = tail_to_rad;
@@ -153,6 +175,8 @@ static felt_moment_t moment(const felt_t *felt, const felt_frame_t *frame, doubl
         frame->tail_rad[0] + swing * u * u * (3 - 2 * u) + length_s * u * w * (r0 * w - r1 * u);
     const double rate = 6 * swing / length_s * u * w + r0 * w * (1 - 3 * u) + r1 * u * (3 * u - 2);
     const double heading = along(frame->heading_rad + i, steps - i);
+    const double sine = frame->straight ? frame->sine : sin(heading);
+    const double cosine = frame->straight ? frame->cosine : cos(heading);
     const double side = frame->sway_m_per_rad * rate;
     double hand[3];
     for (unsigned axis = 0; axis < 3; axis++) {
@@ -160,8 +184,8 @@ static felt_moment_t moment(const felt_t *felt, const felt_frame_t *frame, doubl
             frame->hand_rad[0][axis] + u * (frame->hand_rad[1][axis] - frame->hand_rad[0][axis]);
     }
     return (felt_moment_t){
-        .x_m_s = along(frame->vx_m_s + i, steps - i) - side * sin(heading),
-        .y_m_s = along(frame->vy_m_s + i, steps - i) + side * cos(heading),
+        .x_m_s = along(frame->vx_m_s + i, steps - i) - side * sine,
+        .y_m_s = along(frame->vy_m_s + i, steps - i) + side * cosine,
         .heading_rad = heading,
         .yaw_rad = heading + frame->yaw_per_tail * tail + hand[0],
         .pitch_rad = PITCH_PER_TAIL2 * tail * tail + felt->cone_s * rate + hand[1],

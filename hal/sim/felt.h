@@ -18,6 +18,8 @@
 typedef struct {
     uint64_t begin_us, end_us;
     double vx_m_s[SUBSTEPS + 1], vy_m_s[SUBSTEPS + 1], heading_rad[SUBSTEPS + 1];
+    bool straight;                          /* the heading stays the same ... */
+    double sine, cosine;                    /* ... and these with it */
     double tail_rad[2], tail_rate_rad_s[2]; /* about the mean, at the ends */
     double tilt_rad[2];
     double yaw_per_tail, sway_m_per_rad;
@@ -29,7 +31,8 @@ typedef struct {
     uint64_t tremor_key;
     double tremor_rad;                       /* of the hand that holds it; 0 = none */
     double held;                             /* 1 = by a hand, 0 = free */
-    double turn_from_rad[3], turn_to_rad[3]; /* by a hand: yaw, pitch, roll ... */
+    bool by_hand;                            /* somebody has turned it ever ... */
+    double turn_from_rad[3], turn_to_rad[3]; /* ... yaw, pitch, roll ... */
     uint64_t turn_begin_us, turn_end_us;     /* ... smoothly from then to then */
     felt_frame_t frame[FELT_FRAMES];
     uint32_t frames;       /* added; the newest FELT_FRAMES are held */

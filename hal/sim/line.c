@@ -1,7 +1,5 @@
 #include "line.h"
 
-#include <string.h>
-
 void line_init(line_t *line, double bytes_per_s) {
     line->byte_ns = bytes_per_s > 0 ? (uint64_t)(1e9 / bytes_per_s + 0.5) : 0;
     line->end_ns = 0;
@@ -36,10 +34,7 @@ static void mark(line_t *line) {
 void line_write(line_t *line, uint64_t now_us, const uint8_t *bytes, size_t length) {
     const uint64_t now_ns = now_us * 1000u;
     line->end_ns = (line->end_ns > now_ns ? line->end_ns : now_ns) + length * line->byte_ns;
-    const size_t at = (size_t)(line->written % LINE_STORE);
-    const size_t first = length < LINE_STORE - at ? length : LINE_STORE - at;
-    memcpy(line->store + at, bytes, first);
-    memcpy(line->store, bytes + first, length - first);
+    line_put(line->store, LINE_STORE, line->written, bytes, length);
     line->written += length;
     if (line->written - line->read > LINE_STORE) {
         line->read = line->written - LINE_STORE;
@@ -56,10 +51,10 @@ size_t line_available(const line_t *line, uint64_t now_us) {
 size_t line_read(line_t *line, uint64_t now_us, uint8_t *out, size_t max) {
     const size_t available = line_available(line, now_us);
     const size_t length = available < max ? available : max;
-    const size_t at = (size_t)(line->read % LINE_STORE);
-    const size_t first = length < LINE_STORE - at ? length : LINE_STORE - at;
-    memcpy(out, line->store + at, first);
-    memcpy(out + first, line->store, length - first);
+    if (length == 0) { /* mostly: who polls asks more often than bytes come */
+        return 0;
+    }
+    line_take(line->store, LINE_STORE, line->read, out, length);
     line->read += length;
     drop_marks_before(line, line->read);
     return length;

@@ -8,6 +8,7 @@
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+#include <string.h>
 
 #define LINE_STORE 65536u /* a power of two */
 #define LINE_MARKS 64u
@@ -16,7 +17,7 @@ typedef struct {
     uint64_t byte_ns; /* 0 = unlimited */
     uint64_t end_ns;  /* when the last byte written will have passed */
     uint64_t written, read;
-    uint64_t mark_at[LINE_MARKS]; /* ends of the messages written ... */
+    uint64_t mark_at[LINE_MARKS]; /* ends of the messages written that are not all read ... */
     uint64_t mark_ns[LINE_MARKS]; /* ... and when they will have passed */
     uint32_t mark_head, mark_tail;
     uint8_t store[LINE_STORE];
@@ -26,6 +27,31 @@ void line_init(line_t *line, double bytes_per_s);
 
 /* Bytes written that have not passed yet. */
 uint64_t line_queued(const line_t *line, uint64_t now_us);
+
+/* The part of a ring of |size| bytes, a power of two, from position |at| on into |out|. */
+static inline void line_take(const uint8_t *ring, size_t size, uint64_t at, uint8_t *out,
+                             size_t length) {
+    const size_t begin = (size_t)(at % size);
+    const size_t first = length < size - begin ? length : size - begin;
+    memcpy(out, ring + begin, first);
+    if (first < length) {
+        memcpy(out + first, ring, length - first);
+    }
+}
+
+/* The other way round. */
+static inline void line_put(uint8_t *ring, size_t size, uint64_t at, const uint8_t *bytes,
+                            size_t length) {
+    const size_t begin = (size_t)(at % size);
+    const size_t first = length < size - begin ? length : size - begin;
+    memcpy(ring + begin, bytes, first);
+    if (first < length) {
+        memcpy(ring, bytes + first, length - first);
+    }
+}
+
+/* Nothing to read, now or later. */
+static inline bool line_is_empty(const line_t *line) { return line->written == line->read; }
 
 /* Appends |length| <= LINE_STORE bytes; the oldest unread ones are lost when nobody reads. */
 void line_write(line_t *line, uint64_t now_us, const uint8_t *bytes, size_t length);

@@ -5,6 +5,7 @@
 #include <stdint.h>
 
 #define NOISE_GOLDEN 0x9E3779B97F4A7C15u
+#define NOISE_INVERSE_SIGMA 0.248706938 /* 1/sqrt(16 + 1/6) */
 
 /* The finaliser of splitmix64. */
 static inline uint64_t noise_mix(uint64_t z) {
@@ -28,11 +29,10 @@ static inline uint64_t noise_ones(uint64_t x) {
  * variance 1/6 on top turns its steps into a continuous, piecewise linear density. Three
  * multiplications and no libm: an IMU frame needs seven of these. */
 static inline double noise_normal_of(uint64_t coins) {
-    const double inverse_sigma = 0.248706938; /* 1/sqrt(16 + 1/6) */
     const uint64_t dither = noise_mix(coins + NOISE_GOLDEN);
     const double triangle = (double)(int64_t)(dither & UINT32_MAX) * 0x1p-32 +
                             (double)(int64_t)(dither >> 32) * 0x1p-32 - 1.0;
-    return ((double)((int64_t)noise_ones(coins) - 32) + triangle) * inverse_sigma;
+    return ((double)((int64_t)noise_ones(coins) - 32) + triangle) * NOISE_INVERSE_SIGMA;
 }
 
 #endif

@@ -69,10 +69,7 @@ static size_t room(const board_ring_t *ring) {
 void board_receive(hal_t *hal, hal_port_t port, const uint8_t *bytes, size_t length) {
     board_ring_t *ring = &hal->received[port];
     const size_t fits = length < room(ring) ? length : room(ring);
-    const size_t at = (size_t)(ring->tail % BOARD_RING_BYTES);
-    const size_t first = fits < BOARD_RING_BYTES - at ? fits : BOARD_RING_BYTES - at;
-    memcpy(ring->bytes + at, bytes, first);
-    memcpy(ring->bytes, bytes + first, fits - first);
+    line_put(ring->bytes, BOARD_RING_BYTES, ring->tail, bytes, fits);
     ring->tail += fits;
     ring->errors.overruns += (uint32_t)(length - fits);
 }
@@ -126,26 +123,28 @@ uint64_t board_wire_due_us(const board_wire_t *wire) {
 static void collect(hal_t *hal, hal_port_t port) {
     line_t *line = &hal->to_board[port];
     uint8_t chunk[UNLIMITED_CHUNK];
-    size_t length;
-    do {
+    for (;;) {
         const size_t space = room(&hal->received[port]);
         const size_t most = line->byte_ns == 0 && space < sizeof chunk ? space : sizeof chunk;
-        length = line_read(line, hal->now_us, chunk, most);
+        const size_t length = line_read(line, hal->now_us, chunk, most);
+        if (length == 0) {
+            return;
+        }
         board_receive(hal, port, chunk, length);
-    } while (length > 0);
+    }
 }
 
 size_t hal_serial_read(hal_t *hal, hal_port_t port, uint8_t *out, size_t max) {
-    if (port < BOARD_LINKS) {
+    if (port < BOARD_LINKS && !line_is_empty(&hal->to_board[port])) {
         collect(hal, port);
     }
     board_ring_t *ring = &hal->received[port];
     const size_t held = (size_t)(ring->tail - ring->head);
     const size_t taken = held < max ? held : max;
-    const size_t at = (size_t)(ring->head % BOARD_RING_BYTES);
-    const size_t first = taken < BOARD_RING_BYTES - at ? taken : BOARD_RING_BYTES - at;
-    memcpy(out, ring->bytes + at, first);
-    memcpy(out + first, ring->bytes, taken - first);
+    if (taken == 0) {
+        return 0;
+    }
+    line_take(ring->bytes, BOARD_RING_BYTES, ring->head, out, taken);
     ring->head += taken;
     return taken;
 }

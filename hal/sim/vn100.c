@@ -1,5 +1,6 @@
 #include "vn100.h"
 
+#include "line.h"
 #include "noise.h"
 #include "vn100_internal.h"
 #include "vn100_output.h"
@@ -144,10 +145,7 @@ static void queue_bytes(vn100_t *vn100, uint64_t now_us, const uint8_t *bytes, s
         vn100->overflowed = true;
         return;
     }
-    const size_t at = (size_t)(vn100->output_tail % VN100_OUTPUT_BYTES);
-    const size_t first = length < VN100_OUTPUT_BYTES - at ? length : VN100_OUTPUT_BYTES - at;
-    memcpy(vn100->output + at, bytes, first);
-    memcpy(vn100->output, bytes + first, length - first);
+    line_put(vn100->output, VN100_OUTPUT_BYTES, vn100->output_tail, bytes, length);
     vn100->output_tail += length;
     const uint64_t begin_us = now_us > vn100->free_us ? now_us : vn100->free_us;
     vn100->queue[vn100->queue_tail++ % VN100_QUEUE] =
@@ -367,10 +365,7 @@ size_t vn100_read(vn100_t *vn100, uint8_t out[VN100_MESSAGE_MAX]) {
         return 0;
     }
     const size_t length = vn100->queue[vn100->queue_head++ % VN100_QUEUE].length;
-    const size_t at = (size_t)(vn100->output_head % VN100_OUTPUT_BYTES);
-    const size_t first = length < VN100_OUTPUT_BYTES - at ? length : VN100_OUTPUT_BYTES - at;
-    memcpy(out, vn100->output + at, first);
-    memcpy(out + first, vn100->output, length - first);
+    line_take(vn100->output, VN100_OUTPUT_BYTES, vn100->output_head, out, length);
     vn100->output_head += length;
     if (vn100->overflowed) {
         vn100->overflowed = false;

@@ -347,20 +347,40 @@ static uint8_t *put_field(uint8_t *at, unsigned group, unsigned bit, const vn100
     }
 }
 
-/* The remainder of |x| * x^16 by the polynomial 0x11021: the quotient is |x| times the upper half
- * of x^32 divided by it. */
-static uint32_t crc_of_word(uint32_t x) {
-    const uint32_t quotient = x ^ (x >> 4) ^ (x >> 8) ^ (x >> 11) ^ (x >> 12);
-    return (quotient ^ (quotient << 5) ^ (quotient << 12)) & 0xFFFFu;
-}
-
 /* CRC-16/XMODEM, written apart from the firmware's so that neither can hide the other's mistake:
- * two bytes at a time, because every frame of a simulated trial needs it. */
+ * with tables, eight bytes at a time, because every frame of a simulated trial needs it. The sum of
+ * a byte is the sum of those of its bits, so a table follows from eight entries. */
+#define XOR1(x, a) (x), (x) ^ (a)
+#define XOR2(x, a, b) XOR1(x, a), XOR1((x) ^ (b), a)
+#define XOR3(x, a, b, c) XOR2(x, a, b), XOR2((x) ^ (c), a, b)
+#define XOR4(x, a, b, c, d) XOR3(x, a, b, c), XOR3((x) ^ (d), a, b, c)
+#define XOR5(x, a, b, c, d, e) XOR4(x, a, b, c, d), XOR4((x) ^ (e), a, b, c, d)
+#define XOR6(x, a, b, c, d, e, f) XOR5(x, a, b, c, d, e), XOR5((x) ^ (f), a, b, c, d, e)
+#define XOR7(x, a, b, c, d, e, f, g) XOR6(x, a, b, c, d, e, f), XOR6((x) ^ (g), a, b, c, d, e, f)
+#define XOR8(x, a, b, c, d, e, f, g, h)                                                            \
+    XOR7(x, a, b, c, d, e, f, g), XOR7((x) ^ (h), a, b, c, d, e, f, g)
+
+/* [k]: a byte with k bytes behind it. */
+static const uint16_t xmodem_byte[8][256] = {
+    {XOR8(0, 0x1021, 0x2042, 0x4084, 0x8108, 0x1231, 0x2462, 0x48C4, 0x9188)},
+    {XOR8(0, 0x3331, 0x6662, 0xCCC4, 0x89A9, 0x0373, 0x06E6, 0x0DCC, 0x1B98)},
+    {XOR8(0, 0x3730, 0x6E60, 0xDCC0, 0xA9A1, 0x4363, 0x86C6, 0x1DAD, 0x3B5A)},
+    {XOR8(0, 0x76B4, 0xED68, 0xCAF1, 0x85C3, 0x1BA7, 0x374E, 0x6E9C, 0xDD38)},
+    {XOR8(0, 0xAA51, 0x4483, 0x8906, 0x022D, 0x045A, 0x08B4, 0x1168, 0x22D0)},
+    {XOR8(0, 0x45A0, 0x8B40, 0x06A1, 0x0D42, 0x1A84, 0x3508, 0x6A10, 0xD420)},
+    {XOR8(0, 0xB861, 0x60E3, 0xC1C6, 0x93AD, 0x377B, 0x6EF6, 0xDDEC, 0xABF9)},
+    {XOR8(0, 0x47D3, 0x8FA6, 0x0F6D, 0x1EDA, 0x3DB4, 0x7B68, 0xF6D0, 0xFD81)},
+};
+
 static uint16_t crc_xmodem(const uint8_t *bytes, size_t length) {
-    size_t i = length % 2;
-    uint32_t crc = i != 0 ? crc_of_word(bytes[0]) : 0;
-    for (; i < length; i += 2) {
-        crc = crc_of_word(crc ^ ((uint32_t)bytes[i] << 8 | bytes[i + 1]));
+    unsigned crc = 0;
+    for (; length >= 8; length -= 8, bytes += 8) {
+        crc = xmodem_byte[7][bytes[0] ^ crc >> 8] ^ xmodem_byte[6][bytes[1] ^ (crc & 0xFFu)] ^
+              xmodem_byte[5][bytes[2]] ^ xmodem_byte[4][bytes[3]] ^ xmodem_byte[3][bytes[4]] ^
+              xmodem_byte[2][bytes[5]] ^ xmodem_byte[1][bytes[6]] ^ xmodem_byte[0][bytes[7]];
+    }
+    for (; length > 0; length--, bytes++) {
+        crc = (crc << 8 & 0xFF00u) ^ xmodem_byte[0][crc >> 8 ^ *bytes];
     }
     return (uint16_t)crc;
 }

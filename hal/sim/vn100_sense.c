@@ -1,6 +1,7 @@
 #include "vn100_sense.h"
 
 #include "noise.h"
+#include "noise_inline.h"
 
 #include <math.h>
 #include <string.h>
@@ -130,7 +131,7 @@ static void errors(const vn100_sense_t *s, uint64_t tick, unsigned first, uint64
         const unsigned axis = first + i;
         out[i] = s->bias[axis] + s->drift[axis] +
                  s->drift_per_tick[axis] * (double)(tick - s->drift_tick) +
-                 sigma * noise_normal(s->key, tick * DRAWS + axis);
+                 sigma * noise_normal_of(noise_bits(s->key, tick * DRAWS + axis));
     }
 }
 
@@ -146,12 +147,12 @@ static void sine_cosine(double x, double *sine, double *cosine) {
     *cosine = 1 - q * (1.0 / 2 - q * (1.0 / 24 - q * (1.0 / 720 - q * (1.0 / 40320))));
 }
 
-/* Body to level, from yaw, pitch and roll. */
-static void rotation(double yaw, double pitch, double roll, double r[9]) {
-    double cy, sy, cp, sp, cr, sr;
+/* Body to level, from yaw, pitch and roll; |turned|: sine and cosine of the roll. */
+static void rotation(double yaw, double pitch, const double turned[2], double r[9]) {
+    const double sr = turned[0], cr = turned[1];
+    double cy, sy, cp, sp;
     sine_cosine(yaw, &sy, &cy);
     sine_cosine(pitch, &sp, &cp);
-    sine_cosine(roll, &sr, &cr);
     r[0] = cy * cp;
     r[1] = cy * sp * sr - sy * cr;
     r[2] = cy * sp * cr + sy * sr;
@@ -179,22 +180,22 @@ static void multiply_transposed(const double m[9], const double v[3], double out
 typedef struct {
     felt_moment_t from, to;
     double span_s;
-    double body[9]; /* body to level, in the middle */
+    double roll[2]; /* its sine and cosine, in the middle ... */
+    double body[9]; /* ... and body to level */
 } span_t;
 
-static span_t span_of(vn100_sense_t *s, uint64_t tick, uint64_t window) {
+static void find_span(const vn100_sense_t *s, uint64_t tick, uint64_t window, span_t *span) {
     const uint64_t end_us = vn100_tick_us(s, tick);
     const uint64_t begin_us = vn100_tick_us(s, tick > window ? tick - window : 0);
-    span_t span = {.span_s = (double)(end_us - begin_us) * 1e-6};
+    span->span_s = (double)(end_us - begin_us) * 1e-6;
     /* Most means begin where the last one ended. */
-    span.from = begin_us == s->from_us
-                    ? s->from
-                    : felt_at(s->felt, begin_us > LAG_US ? begin_us - LAG_US : 0);
-    span.to = felt_at(s->felt, end_us > LAG_US ? end_us - LAG_US : 0);
-    rotation(0.5 * (span.from.yaw_rad + span.to.yaw_rad),
-             0.5 * (span.from.pitch_rad + span.to.pitch_rad),
-             0.5 * (span.from.roll_rad + span.to.roll_rad), span.body);
-    return span;
+    span->from = begin_us == s->from_us
+                     ? s->from
+                     : felt_at(s->felt, begin_us > LAG_US ? begin_us - LAG_US : 0);
+    span->to = felt_at(s->felt, end_us > LAG_US ? end_us - LAG_US : 0);
+    sine_cosine(0.5 * (span->from.roll_rad + span->to.roll_rad), &span->roll[0], &span->roll[1]);
+    rotation(0.5 * (span->from.yaw_rad + span->to.yaw_rad),
+             0.5 * (span->from.pitch_rad + span->to.pitch_rad), span->roll, span->body);
 }
 
 static double limited(double x, double most) { return x > most ? most : x < -most ? -most : x; }
@@ -212,11 +213,9 @@ static void feel_rate(const span_t *span, double out[3]) {
     const double roll = (span->to.roll_rad - span->from.roll_rad) / span->span_s;
     /* The last row of body-to-level holds what a turn about the vertical is in the body. */
     const double *down = span->body + 6;
-    double sin_roll, cos_roll;
-    sine_cosine(0.5 * (span->from.roll_rad + span->to.roll_rad), &sin_roll, &cos_roll);
     out[0] = roll + yaw * down[0];
-    out[1] = pitch * cos_roll + yaw * down[1];
-    out[2] = -pitch * sin_roll + yaw * down[2];
+    out[1] = pitch * span->roll[1] + yaw * down[1];
+    out[2] = -pitch * span->roll[0] + yaw * down[2];
 }
 
 /* |matrix| NULL: the identity. */
@@ -276,8 +275,9 @@ static void turn(const vn100_sense_t *s, double v[3]) {
 }
 
 static void turn_attitude(const vn100_sense_t *s, double ypr_deg[3]) {
-    double body[9], row[3][3];
-    rotation(ypr_deg[0] * DEG, ypr_deg[1] * DEG, ypr_deg[2] * DEG, body);
+    double body[9], roll[2], row[3][3];
+    sine_cosine(ypr_deg[2] * DEG, &roll[0], &roll[1]);
+    rotation(ypr_deg[0] * DEG, ypr_deg[1] * DEG, roll, body);
     for (unsigned i = 0; i < 3; i++) {
         multiply(s->mounting, body + 3 * i, row[i]);
     }
@@ -304,10 +304,13 @@ static void measure(vn100_sense_t *s, const vn100_settings_t *settings, uint64_t
         errors(s, tick, 0, accel_window, passed, s->noise * 0.14 * MG, accel_error);
         errors(s, tick, 3, rate_window, passed, s->noise * 0.0035 * DEG, rate_error);
     }
-    const span_t span = span_of(s, tick, accel_window);
-    const span_t turned = rate_window == accel_window ? span : span_of(s, tick, rate_window);
+    span_t span, turned;
+    find_span(s, tick, accel_window, &span);
+    if (rate_window != accel_window) {
+        find_span(s, tick, rate_window, &turned);
+    }
     feel_accel(&span, sample->accel_m_s2);
-    feel_rate(&turned, sample->rate_rad_s);
+    feel_rate(rate_window != accel_window ? &turned : &span, sample->rate_rad_s);
     spoil(s->flawed ? s->accel_matrix : NULL, accel_error, ACCEL_MAX_M_S2, sample->accel_m_s2);
     spoil(s->flawed ? s->rate_matrix : NULL, rate_error, RATE_MAX_RAD_S, sample->rate_rad_s);
     if (s->compensated) {
