@@ -35,14 +35,13 @@ typedef struct {
     size_t first, count;
     double fps; /* 0 = no pictures are wanted */
     uint64_t picture, frame, next_beat;
-    bool alone; /* one fish, by the plant's own code; otherwise all lanes at once */
+    uint64_t picture_us; /* when the next picture is taken; UINT64_MAX = none */
+    bool alone;          /* one fish, by the plant's own code; otherwise all lanes at once */
     tail_t tail;
     plant_t plant;
     disturbance_t drawn[SHOAL_LANES];
     bool moves;                  /* the water of any lane, within the trial */
     double moved_m[SHOAL_LANES]; /* by that, since the beat began */
-    bool sways;                  /* the head of any lane, along the tank */
-    double sway_m_per_rad[SHOAL_LANES];
     shoal_block_t rows;
 } block_t;
 
@@ -81,10 +80,10 @@ static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_
     rows->servo_rad[l] = rows->late[l] = rows->way_m[l] = rows->base_m[l] = 0;
     rows->z2_most[l] = rows->vkt_most[l] = 0;
     rows->ahead[l] = cos(block->drawn[l].place_rad);
-    rows->swayed_m[1][l] = 0;
-    block->sway_m_per_rad[l] =
+    rows->swayed_m[0][l] = rows->swayed_m[1][l] = 0;
+    rows->sway_m_per_rad[l] =
         c->plant == SIM_PLANT_REACTIVE ? 0 : SWAY_M_PER_RAD * sin(block->drawn[l].place_rad);
-    block->sways = block->sways || c->place_sigma_rad > 0;
+    rows->sways = rows->sways || c->place_sigma_rad > 0;
 }
 
 static void set_camera(shoal_block_t *rows, unsigned l, const sim_config_t *c, uint32_t swim) {
@@ -93,6 +92,11 @@ static void set_camera(shoal_block_t *rows, unsigned l, const sim_config_t *c, u
     rows->lost_key[l] = noise_key(c->seed, NOISE_LOST, swim);
     rows->lost_below[l] = (uint64_t)ceil(c->camera_lost * 0x1p53);
     rows->lossy = rows->lossy || rows->lost_below[l] > 0;
+}
+
+static uint64_t next_picture_us(const block_t *block) {
+    const double periods = (double)block->picture + EXPOSURE_PHASE;
+    return block->fps > 0 ? (uint64_t)(periods * 1e6 / block->fps) : UINT64_MAX;
 }
 
 static void set_windows(block_t *block) {
@@ -106,12 +110,13 @@ static void set_windows(block_t *block) {
     if (rows->pictures_per_window < 3) {
         block->fps = 0;
     }
+    block->picture_us = next_picture_us(block);
 }
 
 /* Of a ring that remembers so many substeps. */
 static uint64_t mask_for(uint64_t delay_steps) {
     uint64_t mask = 7;
-    while (mask < delay_steps + SUBSTEPS) {
+    while (mask + 1 < delay_steps + SUBSTEPS) {
         mask = 2 * mask + 1;
     }
     return mask;
@@ -121,10 +126,11 @@ static size_t ring_bytes(uint64_t mask) { return (size_t)(mask + 1) * sizeof(sho
 
 static void clear_thrust(shoal_block_t *rows) {
     uint64_t longest = 0;
-    rows->same_delay = true;
+    rows->same_delay = rows->whole_delay = true;
     for (unsigned l = 0; l < SHOAL_LANES; l++) {
         longest = rows->delay_steps[l] > longest ? rows->delay_steps[l] : longest;
         rows->same_delay = rows->same_delay && rows->delay_steps[l] == rows->delay_steps[0];
+        rows->whole_delay = rows->whole_delay && !(rows->delay_fraction[l] > 0);
     }
     rows->ring_mask = mask_for(longest);
     memset(rows->thrust, 0, ring_bytes(rows->ring_mask));
@@ -138,7 +144,7 @@ static void begin(block_t *block) {
     rows->has_servo = has_servo(&task->configs[block->first]);
     rows->lossy = false;
     rows->step = 0;
-    block->moves = block->sways = false;
+    block->moves = rows->sways = false;
     for (unsigned l = 0; l < SHOAL_LANES; l++) {
         const size_t fish = fish_of(block, l);
         set_water(block, l, &task->configs[fish], task->swims[fish]);
@@ -239,17 +245,10 @@ static void take_picture(block_t *block, uint64_t time_us) {
 /* The pictures out of the last frame. */
 static void look(block_t *block) {
     const uint64_t end_us = ++block->frame * FRAME_US;
-    if (block->fps <= 0) {
-        return;
-    }
-    for (;;) {
-        const double periods = (double)block->picture + EXPOSURE_PHASE;
-        const uint64_t at_us = (uint64_t)(periods * 1e6 / block->fps);
-        if (at_us >= end_us) {
-            return;
-        }
-        take_picture(block, at_us);
+    while (block->picture_us < end_us) {
+        take_picture(block, block->picture_us);
         block->picture++;
+        block->picture_us = next_picture_us(block);
     }
 }
 
@@ -270,31 +269,27 @@ static void move_water(block_t *block) {
     }
 }
 
-/* How far the head has swayed along the tank with its tail, by the end of the frame. */
-static void sway(block_t *block, double sine) {
+/* What the lanes do for the others at the end of their frame. */
+static void sway_alone(block_t *block, double sine) {
     shoal_block_t *rows = &block->rows;
-    for (unsigned l = 0; l < block->count; l++) {
-        const double servo_rad = block->alone ? block->tail.servo_rad : rows->servo_rad[l];
-        const double tail_rad = rows->has_servo ? servo_rad : rows->amplitude_rad[l] * sine;
-        rows->swayed_m[0][l] = rows->swayed_m[1][l];
-        rows->swayed_m[1][l] = block->sway_m_per_rad[l] * tail_rad;
-    }
+    const double tail_rad = rows->has_servo ? block->tail.servo_rad : rows->amplitude_rad[0] * sine;
+    rows->swayed_m[0][0] = rows->swayed_m[1][0];
+    rows->swayed_m[1][0] = rows->sway_m_per_rad[0] * tail_rad;
 }
 
 static void swim_frame(block_t *block, uint32_t frame, bool limp) {
     const tail_t *tail = block->task->tail;
     const double *sine = tail->sine + frame;
+    block->rows.traced = block->moves || block->picture_us < (block->frame + 1) * FRAME_US;
     if (block->alone) {
         frame_alone(block, limp);
+        sway_alone(block, sine[1]);
     } else {
         block->task->lanes->frame(&block->rows, sine[0], sine[1],
                                   limp ? still : tail->ripple + frame * SUBSTEPS);
     }
     if (block->moves) {
         move_water(block);
-    }
-    if (block->sways) {
-        sway(block, sine[1]);
     }
     look(block);
 }

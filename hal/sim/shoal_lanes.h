@@ -30,7 +30,10 @@ typedef struct {
 typedef struct {
     /* the same for all */
     double frame_s, omega_rad_s;
-    bool has_servo, same_delay, lossy;
+    bool has_servo, lossy;
+    bool same_delay, whole_delay; /* of all lanes; in substeps, of each */
+    bool traced;                  /* somebody looks at this frame: fill trace_... */
+    bool sways;                   /* the head of any lane, along the tank */
     uint64_t ring_mask, step;
     double half_window_s;
     uint32_t pictures_per_window, pictures_min;
@@ -47,6 +50,7 @@ typedef struct {
     /* camera */
     shoal_row_t flow_m_s, base_m; /* position at the beat's begin */
     shoal_row_t ahead;            /* part of the way that is along the tank */
+    shoal_row_t sway_m_per_rad;   /* of the tail */
     shoal_row_t swayed_m[2];      /* the head's sway along it as the frame begins and ends */
     shoal_row_t noise_m;
     shoal_keys_t noise_key, lost_key, lost_below;
