@@ -1,6 +1,6 @@
 /*
  * What the Python package binds. The declarations are the firmware's and the simulator's own
- * headers; the build preprocesses this file into the text that cffi parses (make_cdef.py).
+ * headers; the build turns this file into a Python module with their types (make_binding.py).
  */
 #ifndef NATIVE_BINDINGS_H
 #define NATIVE_BINDINGS_H

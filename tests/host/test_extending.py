@@ -86,7 +86,7 @@ def build(root: Path) -> None:
     for command in ([*configure, *options], ["ninja", "-C", "build/native", "tailbeat_native"]):
         subprocess.run(command, cwd=root, check=True, stdout=subprocess.DEVNULL)
     core = root / "host" / "tailbeat" / "core"
-    for name in ("libtailbeat_native.so", "native.cdef"):
+    for name in ("libtailbeat_native.so", "_native_types.py"):
         shutil.copy(next((root / "build/native").rglob(name)), core)
     shutil.copy(str(_dialect.__file__), root / "host" / "tailbeat" / "link")
 

@@ -2,17 +2,17 @@
 
 ``from tailbeat.core.native import ffi, lib`` at the top of a module loads nothing: the first use of
 either does. The declarations are the C headers themselves (host/native/bindings.h), so their
-comments are the documentation.
+comments are the documentation. The build turns them into a module (host/native/make_binding.py),
+so that no start parses them: 0.01 s instead of 0.23 s.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
-
-from cffi import FFI
 
 from tailbeat.core.errors import TailbeatError
 
@@ -38,25 +38,37 @@ def load(folder: Path = HERE) -> Native:
     Raises:
         NativeLibraryError: when it is not there or was built for another machine.
     """
-    return load_library(folder / "native.cdef", folder / "libtailbeat_native.so")
+    return load_library("native", folder)
 
 
-def load_library(cdef: Path, library: Path) -> Native:
-    """Loads ``library`` by the declarations in ``cdef``; raises as ``load``."""
-    for path in (cdef, library):
-        if not path.exists():
-            raise NativeLibraryError(
-                f"{path.name} is missing beside _native.py: this is not the installed package",
-                "Run 'pip install ./host' and use that.",
-            )
-    found = FFI()
-    found.cdef(cdef.read_text(encoding="utf-8"))
+def load_library(name: str, folder: Path = HERE) -> Native:
+    """Loads libtailbeat_NAME.so by the types in _NAME_types.py; raises as ``load``."""
+    found, library = load_types(name, folder), _present(folder / f"libtailbeat_{name}.so")
     try:
         return Native(found, found.dlopen(str(library)))
     except OSError as error:
         raise NativeLibraryError(
             f"{library.name} does not load ({error})", "Reinstall it with 'pip install ./host'."
         ) from error
+
+
+def load_types(name: str, folder: Path = HERE) -> Any:
+    """The cffi instance of _NAME_types.py; raises as ``load``."""
+    path = _present(folder / f"_{name}_types.py")
+    spec = spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None, "it ends in .py"
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.ffi
+
+
+def _present(path: Path) -> Path:
+    if not path.exists():
+        raise NativeLibraryError(
+            f"{path.name} is missing: this is not the installed package",
+            "Run 'pip install ./host' and use that.",
+        )
+    return path
 
 
 def layout_mismatches(native: Native) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -12,18 +13,21 @@ import pytest
 from tailbeat.core import native
 from tailbeat.core.native import ffi, lib
 
+TYPES = "_native_types.py"
+
 
 def test_every_struct_has_the_compilers_size() -> None:
     assert native.layout_mismatches(native.load()) == []
 
 
 def test_a_wrong_declaration_is_noticed(tmp_path: Path) -> None:
-    for name in ("native.cdef", "libtailbeat_native.so"):
+    for name in (TYPES, "libtailbeat_native.so"):
         shutil.copy(native.HERE / name, tmp_path / name)
-    cdef = tmp_path / "native.cdef"
-    text = cdef.read_text()
-    assert "number_t kp_rad_s_m;" in text
-    cdef.write_text(text.replace("number_t kp_rad_s_m;", "double kp_rad_s_m;"))
+    types = tmp_path / TYPES
+    text = types.read_text()
+    number, double = (_type_of(field, text) for field in ("kp_rad_s_m", "tremor_rad"))
+    assert number != double
+    types.write_text(text.replace(f"{number}kp_rad_s_m", f"{double}kp_rad_s_m"))
     assert any(
         line.startswith("law_t: ") for line in native.layout_mismatches(native.load(tmp_path))
     )
@@ -56,10 +60,16 @@ def test_missing_library_is_explained(tmp_path: Path) -> None:
 
 
 def test_broken_library_is_explained(tmp_path: Path) -> None:
-    shutil.copy(native.HERE / "native.cdef", tmp_path)
+    shutil.copy(native.HERE / TYPES, tmp_path)
     (tmp_path / "libtailbeat_native.so").write_bytes(b"not a library")
     with pytest.raises(native.NativeLibraryError, match="does not load"):
         native.load(tmp_path)
+
+
+def _type_of(field: str, text: str) -> str:
+    """What stands before a field's name in a module of types: four escaped bytes."""
+    (found,) = set(re.findall(rf"b'((?:\\x[0-9A-F]{{2}}){{4}}){field}'", text))
+    return str(found)
 
 
 def _resolves(name: str) -> bool:

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from cffi import FFI
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.core.native import ffi, lib
+from tailbeat.core.native import ffi, lib, load_types
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.fish_model import SIGMA_M_S
 from tailbeat.sim.config import senseless
@@ -92,12 +91,6 @@ class Batch(Protocol):
 
 ABI = 1  # of host/native/tailbeat_plant.h
 QUIET_TRIAL = 0  # the number of a trial without noise and drift
-_DECLARED = """
-uint32_t tailbeat_plant_abi(void);
-bool tailbeat_plant_trial(uint64_t seed, uint32_t trial, double beat_s, uint32_t beats,
-                          const double *amplitude_rad, const double *bias_rad, double *speed_m_s,
-                          double *heading_rad);
-"""
 
 
 def is_foreign(plant: str) -> bool:
@@ -108,8 +101,7 @@ def is_foreign(plant: str) -> bool:
 @cache
 def foreign_plant(path: str) -> tuple[Any, Any]:
     """(cffi instance, library). Raises InputError when it is none, or of another version."""
-    found = FFI()
-    found.cdef(_DECLARED)
+    found = load_types("plant")
     try:
         library: Any = found.dlopen(str(Path(path).resolve()))
         abi = library.tailbeat_plant_abi()

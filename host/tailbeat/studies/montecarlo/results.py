@@ -81,7 +81,7 @@ def identity() -> dict[str, str]:
     package = Path(__file__).parent.parent
     code = hashlib.sha256()
     for path in sorted(package.rglob("*")):
-        if path.suffix in (".py", ".so", ".cdef"):
+        if path.suffix in (".py", ".so"):
             code.update(path.relative_to(package).as_posix().encode())
             code.update(path.read_bytes())
     return {

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.law import PAST_KINDS
-from tailbeat.core.native import HERE, Native, load_library
+from tailbeat.core.native import Native, load_library
 
 Precision = Literal["double", "float"]
 
@@ -30,8 +30,7 @@ def load(precision: Precision = "double") -> Native:
     Raises:
         NativeLibraryError: when it is not there or was built for another machine.
     """
-    bits = _BITS[precision]
-    return load_library(HERE / f"thesis{bits}.cdef", HERE / f"libtailbeat_thesis{bits}.so")
+    return load_library(f"thesis{_BITS[precision]}")
 
 
 def pointer(native: Native, values: F64 | None) -> Any:

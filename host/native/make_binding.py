@@ -1,7 +1,9 @@
-"""Turns bindings.h into the text cffi parses, and into a C table of the bound structs' sizes.
+"""Turns a C header into a Python module with its types, and into a C table of its structs' sizes.
 
-cffi lays structs out from that text alone; comparing with the table shows that it does it like the
-compiler of the library.
+The module is cffi's out-of-line form of its ABI mode: the declarations are parsed here, when the
+package is built, and not at every start of it. It calls no compiler and depends on no version of
+Python. cffi lays structs out from the declarations alone; comparing with the table shows that it
+does it like the compiler of the library.
 """
 
 from __future__ import annotations
@@ -24,10 +26,19 @@ def preprocess(compiler: str, header: Path, includes: list[Path], defines: list[
     return re.sub(r"^\s*;\s*$", "", done.stdout, flags=re.MULTILINE)
 
 
-def struct_names(cdef: str) -> list[str]:
-    """Names of the structs whose layout cffi knows; also proves that cffi can parse the text."""
+def write_module(declarations: str, path: Path) -> None:
+    """The module, whose ``ffi`` knows the declared types, functions and constants."""
     ffi = FFI()
-    ffi.cdef(cdef)
+    ffi.cdef(declarations)
+    ffi.set_source(path.stem, None)
+    path.unlink(missing_ok=True)  # cffi leaves a file alone that would not change; ninja minds
+    ffi.emit_python_code(str(path))
+
+
+def struct_names(declarations: str) -> list[str]:
+    """Names of the structs whose layout cffi knows."""
+    ffi = FFI()
+    ffi.cdef(declarations)
     types = [(name, ffi.typeof(name)) for name in ffi.list_types()[0]]
     return sorted(name for name, kind in types if kind.kind == "struct" and kind.fields)
 
@@ -48,13 +59,13 @@ def main() -> None:
     parser.add_argument("--header", type=Path, required=True)
     parser.add_argument("--include", type=Path, action="append", default=[])
     parser.add_argument("--define", action="append", default=[])
-    parser.add_argument("--cdef", type=Path, required=True, help="cffi text to write")
-    parser.add_argument("--layout", type=Path, required=True, help="C source to write")
+    parser.add_argument("--module", type=Path, required=True, help="Python module to write")
+    parser.add_argument("--layout", type=Path, help="C source to write")
     options = parser.parse_args()
-    cdef = preprocess(options.compiler, options.header, options.include, options.define)
-    source = layout_source(options.header, struct_names(cdef))
-    options.cdef.write_text(cdef)
-    options.layout.write_text(source)
+    declarations = preprocess(options.compiler, options.header, options.include, options.define)
+    write_module(declarations, options.module)
+    if options.layout is not None:
+        options.layout.write_text(layout_source(options.header, struct_names(declarations)))
 
 
 if __name__ == "__main__":
