@@ -13,7 +13,8 @@ NEWLIB_LICENSE := /usr/share/doc/libnewlib-arm-none-eabi/copyright
 CONFIGURE := $(STEP) configuring cmake -S . -G Ninja -DPython_EXECUTABLE=$(PYTHON) --log-level=WARNING
 PACKAGE_SOURCES := $(shell find host firmware/ hal wire tools/vboard CMakeLists.txt cmake -not -name __pycache__ \
 	-not -name '*.pyc' -not -path '*/.*_cache*')
-C_SOURCES = $(shell find firmware hal bench tests/unit tests/fuzz tests/image host/native -name '*.[ch]' 2>/dev/null)
+C_SOURCES = $(shell find firmware hal bench tests/unit tests/fuzz tests/image host/native tools/vboard/native \
+	-name '*.[ch]' 2>/dev/null)
 PYTHON_SOURCES := host tests tools wire $(wildcard bench)
 
 # Runs all that it is given, whatever fails, and sums up.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.emulated import EmulatedBoard
 from vboard.core.bench import COMPILER, compile_program
+from vboard.periph.models import reference_models
 
 IMAGE = Path(__file__).resolve().parents[2] / "build" / "firmware" / "tailbeat.elf"
 BOOT_S = 3.0
@@ -54,6 +56,13 @@ def connect() -> Iterator[Connect]:
     yield to
     for fish in fishes:
         fish.close()
+
+
+@pytest.fixture(params=["native", "reference"])
+def both_models(request: pytest.FixtureRequest) -> Iterator[None]:
+    """The test runs with the models in C and with those in Python."""
+    with nullcontext() if request.param == "native" else reference_models():
+        yield
 
 
 @pytest.fixture

@@ -12,6 +12,8 @@ from vboard.periph.rstc import Rstc
 from vboard.periph.supply import SlowClock
 from vboard.periph.wdt import Wdt
 
+pytestmark = pytest.mark.usefixtures("both_models")
+
 WDT_1S = 0x1FFF2100
 FEED = 0xA5000001
 DRDY, GOVRE = 1 << 24, 1 << 25

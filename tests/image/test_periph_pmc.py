@@ -9,6 +9,8 @@ from vboard.core.clock import TICKS_PER_S
 from vboard.periph.bench import Bench
 from vboard.periph.supply import SlowClock
 
+pytestmark = pytest.mark.usefixtures("both_models")
+
 MOSCXTS, LOCKA, MCKRDY, MOSCSELS, MOSCRCS = 1, 2, 8, 1 << 16, 1 << 17
 CFDEV, CFDS = 1 << 18, 1 << 19
 

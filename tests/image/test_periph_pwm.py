@@ -11,6 +11,8 @@ from vboard.periph.pins import PinTrace
 from vboard.periph.pio import Pio
 from vboard.periph.pwm import Pwm
 
+pytestmark = pytest.mark.usefixtures("both_models")
+
 COUNT = 28  # clock ticks of 1/3 us
 FRAME = 60_000 * COUNT
 PIN = 1 << 21

@@ -7,6 +7,8 @@ import pytest
 from register_facts import peripherals
 from vboard.periph.bench import Bench
 
+pytestmark = pytest.mark.usefixtures("both_models")
+
 ACCESS = {"read-write": "rw", "read-only": "r", "write-only": "w"}
 NAMES = {"EEFC0": "EFC0", "EEFC1": "EFC1", "TC0_0": "TC0", "TC0_1": "TC0", "TC0_2": "TC0"}
 

@@ -13,6 +13,8 @@ from vboard.periph.bench import RAM_BASE, Bench
 from vboard.periph.usart import SerialPort
 from vboard.wires.serial_line import GARBLED, SerialLine
 
+pytestmark = pytest.mark.usefixtures("both_models")
+
 RXRDY, TXRDY, ENDRX, ENDTX, OVRE, FRAME = 0x1, 0x2, 0x8, 0x10, 0x20, 0x40
 TIMEOUT, TXEMPTY, TXBUFE, RXBUFF = 0x100, 0x200, 0x800, 0x1000
 RXTEN, TXTEN, RXTDIS, TXTDIS = 0x1, 0x100, 0x2, 0x200
@@ -367,7 +369,7 @@ WRONG = {
     "does not fit in 16 bits": [("USART0.RCR", 0x10000)],
     "write protected": [("USART0.WPMR", 0x55534101), ("USART0.MR", 0x8C0)],
     "bits 0x00000400": [("USART0.IER", 0x400)],
-    "is outside RAM": [
+    "is outside RAM|is no memory": [
         ("USART0.TPR", RAM_BASE + 0x18000),
         ("USART0.TCR", 1),
         ("USART0.PTCR", 0x100),

@@ -20,6 +20,8 @@ from vboard.core.clock import TICKS_PER_S
 from vboard.core.exceptions import Lockup
 from vboard.image import ImageError, load
 
+pytestmark = pytest.mark.usefixtures("both_models")
+
 Build = Callable[[str], Path]
 
 

@@ -6,6 +6,8 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from vboard.board import Board
 from vboard.chip import CYCLES_PER_INSTRUCTION, MASKED_SLICE
 from vboard.core.bench import (
@@ -18,6 +20,8 @@ from vboard.core.bench import (
 )
 from vboard.core.clock import TICKS_PER_S
 from vboard.core.exceptions import CHAIN_CYCLES
+
+pytestmark = pytest.mark.usefixtures("both_models")
 
 Build = Callable[[str], Path]
 

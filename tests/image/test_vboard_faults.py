@@ -12,6 +12,8 @@ from vboard.core.bench import only_probe, run_program
 from vboard.core.bus import BusViolation
 from vboard.core.exceptions import Lockup
 
+pytestmark = pytest.mark.usefixtures("both_models")
+
 Build = Callable[[str], Path]
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from vboard.board import Board
+from vboard.periph.models import reference_models
 
 TORTURE = Path(__file__).parent / "torture"
 EXPECTED = TORTURE / "expected.txt"
@@ -58,18 +59,24 @@ def tortured(image: Path, disturb: Callable[[Board], None] | None = None) -> tup
     return board, host.output.decode()
 
 
+def end_state(board: Board, output: str) -> list[object]:
+    registers, ram = board.cpu.general_registers(), board.read(0x20070000, 0x18000)
+    taken = board.chip.exceptions.taken
+    return [board.clock.now, board.instructions, taken, output, registers, ram]
+
+
 def test_vboard_says_what_qemu_said(image: Path) -> None:
     _, output = tortured(image)
     assert output.splitlines() == EXPECTED.read_text().splitlines()
 
 
+def disturb(board: Board) -> None:
+    for tick in range(0, 400_000, 61):
+        board.clock.at(tick, lambda: None)
+
+
 def test_slices_do_not_show(image: Path) -> None:
     """The same with an event every few instructions."""
-
-    def disturb(board: Board) -> None:
-        for tick in range(0, 400_000, 61):
-            board.clock.at(tick, lambda: None)
-
     _, output = tortured(image, disturb)
     assert output.splitlines() == EXPECTED.read_text().splitlines()
 
@@ -80,6 +87,14 @@ def test_two_runs_are_the_same_bit_for_bit(image: Path) -> None:
     assert first.instructions == second.instructions
     assert first.cpu.general_registers() == second.cpu.general_registers()
     assert first.read(0x20070000, 0x18000) == second.read(0x20070000, 0x18000)
+
+
+def test_models_in_python_end_in_the_same_state(image: Path) -> None:
+    """Also where an event comes every few instructions."""
+    for disturbance in (None, disturb):
+        native = end_state(*tortured(image, disturbance))
+        with reference_models():
+            assert end_state(*tortured(image, disturbance)) == native
 
 
 def test_qemu_still_says_it(image: Path, tmp_path: Path) -> None:

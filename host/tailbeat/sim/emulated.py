@@ -122,8 +122,14 @@ class EmulatedBoard(SimulatedBoard):
         Raises EmulationError.
         """
         end = self._clock.now + max(_MIN_STEP_US, round(duration_s * 1e6)) * _TICKS_PER_US
+        with _interrupt_afterwards() as pressed:
+            self._run_to(end, port, camera, pressed)
+        self._follow_time_base()
+        return max(0, end - self._clock.now) / _TICKS_PER_US * 1e-6
+
+    def _run_to(self, end: int, port: int, camera: bool, pressed: list[int]) -> None:
         heard_at: int | None = None
-        while self._clock.now < end:
+        while self._clock.now < end and not pressed:
             self._run_until(self._next_look(end, port, camera))
             if camera and self._take_pictures():
                 break
@@ -132,8 +138,6 @@ class EmulatedBoard(SimulatedBoard):
                 waited = self._clock.now - heard_at >= _LOOK_US * _TICKS_PER_US
                 if waited or self._lines[port].message_due() is None:
                     break
-        self._follow_time_base()
-        return max(0, end - self._clock.now) / _TICKS_PER_US * 1e-6
 
     def _next_look(self, end: int, port: int, camera: bool) -> int:
         if port not in self._lines and not camera:
@@ -151,8 +155,7 @@ class EmulatedBoard(SimulatedBoard):
         from vboard.core.exceptions import Lockup
 
         try:
-            with _interrupt_afterwards():
-                self.board.run_until(tick)
+            self.board.run_until(tick)
         except (BusViolation, Lockup) as error:
             raise EmulationError(
                 f"the image failed on the emulated board: {error}",
@@ -327,17 +330,17 @@ class EmulatedBoard(SimulatedBoard):
 
 
 @contextmanager
-def _interrupt_afterwards() -> Iterator[None]:
+def _interrupt_afterwards() -> Iterator[list[int]]:
     """Ctrl-C comes at the end: raised in a call that the emulator makes from C, it would be lost
-    there, and leave a board that stopped between two instructions."""
+    there, and leave a board that stopped between two instructions. The list then is not empty."""
     main = threading.current_thread() is threading.main_thread()
     if not main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield
+        yield []
         return
     pressed: list[int] = []
     signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
     try:
-        yield
+        yield pressed
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if pressed:

@@ -16,7 +16,11 @@ from vboard.core.cpu import Cpu
 from vboard.core.memory import BANK_SIZE, FLASH_SIZE
 from vboard.core.nvic import PrivateBus
 from vboard.image import load
+from vboard.native.chip import NativeChip
+from vboard.native.clock import NativeClock
+from vboard.native.models import NATIVE
 from vboard.periph.flash import Flash
+from vboard.periph.models import REFERENCE, native_unless
 
 UNIQUE_ID = bytes(range(0x10, 0x20))
 
@@ -27,7 +31,8 @@ class Board:
     ``bank1``: content of flash bank 1, erased if None. ``seed``: what RAM holds at power-on and how
     a torn page looks. ``crystal``: False for a dead 12 MHz crystal. ``trace``: keeps each access to
     a peripheral in ``bus.trace``. ``peripherals``: others than the chip's own, for tests; further
-    options go to vboard.periph.build().
+    options go to vboard.periph.build(). ``native``: False for the reference models, which are in
+    Python all through; they do the same at the same tick. None: True but for reference_models().
 
     Peripherals are new after each power-on and want their wires again: wire() sees to it.
     """
@@ -42,10 +47,12 @@ class Board:
         unique_id: bytes = UNIQUE_ID,
         trace: bool = False,
         peripherals: Callable[[Soc], Mapping[str, Peripheral]] | None = None,
+        native: bool | None = None,
         **options: Any,
     ) -> None:
         self.image = load(image)
-        self.clock = Clock()
+        self.native = native_unless(native)
+        self.clock: Clock = NativeClock() if self.native else Clock()
         cells = mmap.mmap(-1, FLASH_SIZE)
         cells[:] = self.image.flash.ljust(FLASH_SIZE, b"\xff")
         self.flash = Flash(cells)
@@ -58,6 +65,7 @@ class Board:
             crystal=crystal,
             unique_id=unique_id,
             seed=seed,
+            models=NATIVE if self.native else REFERENCE,
             **options,
         )
         self._wires: list[Callable[[], None]] = []
@@ -182,7 +190,7 @@ class Board:
             return
         self._off_ticks += self.clock.now - self._off_since
         self._power_ons += 1
-        self._chip = Chip(
+        self._chip = (NativeChip if self.native else Chip)(
             self.clock,
             self.flash,
             self._factory,

@@ -55,6 +55,8 @@ class Chip:
         trace: bool = False,
     ) -> None:
         self.clock, self.flash = clock.part(), flash
+        self.memory = Memory(flash.memory, seed)
+        self._prepare()
         self.instructions = self._idle_ticks = 0
         self._asleep_since: int | None = None
         self.on_breakpoint: Callable[[int], bool] | None = None
@@ -67,24 +69,45 @@ class Chip:
         self._slice_start = self._slice_end = 0
         self._blocked = [False, False]
         self._deferred: list[Callable[[], None]] = []
-        self.memory = Memory(flash.memory, seed)
-        self.cpu = Cpu(self._on_protected, self.memory.read)
+        self.cpu = self._new_cpu()
         spans = self._map_memory()
-        self.mpu = Mpu(self.cpu.protect, spans, lambda: self._defer(self.mpu.apply))
-        self.exceptions = Exceptions(self.cpu, self.memory, self.mpu, self._spend)
+        self.mpu = self._new_mpu(spans)
+        self.exceptions = self._new_exceptions()
         self.nvic = PrivateBus(self, self.exceptions, self.mpu)
-        self.bus = Bus(self.clock)
+        self.bus = self._new_bus()
         self.bus.trace = [] if trace else None
         self.periph: dict[str, Any] = {}
         self.periph.update(factory(self))
         self._wire()
         self._start(RESET_POWER_UP)
 
+    # Of what it is made.
+
+    def _prepare(self) -> None:
+        """Comes before everything but clock and memory."""
+
+    def _new_cpu(self) -> Cpu:
+        return Cpu(self._on_protected, self.memory.read)
+
+    def _new_mpu(self, spans: list[tuple[int, int, int]]) -> Mpu:
+        return Mpu(self.cpu.protect, spans, self._mpu_changed)
+
+    def _new_exceptions(self) -> Exceptions:
+        return Exceptions(self.cpu, self.memory, self.mpu, self._spend)
+
+    def _new_bus(self) -> Bus:
+        return Bus(self.clock)
+
     @property
     def idle_ticks(self) -> int:
         """Time asleep in WFI."""
         since = self._asleep_since
         return self._idle_ticks + (0 if since is None else self.clock.now - since)
+
+    @property
+    def asleep(self) -> bool:
+        """Whether the processor sleeps in WFI."""
+        return bool(self._sleeping)
 
     # What peripherals ask for (Soc).
 
@@ -130,19 +153,24 @@ class Chip:
         ``stop`` is asked after each millisecond at the latest and whenever something happened. Ends
         early when the power goes.
         """
-        clock = self.clock
         self._running = True
         try:
-            while clock.now < tick and not self.off:
-                if stop is not None and stop():
-                    return True
-                self._step(tick, stop)
+            if self._run(tick, stop):
+                return True
         except (BusViolation, Lockup) as error:
             raise self._located(error) from error
         finally:
             self._running = False
             self._close_if_off()
         return stop is not None and stop()
+
+    def _run(self, tick: int, stop: Callable[[], bool] | None) -> bool:
+        """Whether ``stop`` ended it."""
+        while self.clock.now < tick and not self.off:
+            if stop is not None and stop():
+                return True
+            self._step(tick, stop)
+        return False
 
     def divert(self, address: int) -> None:
         """Goes on at ``address``, as a debugger would make it."""
@@ -235,6 +263,9 @@ class Chip:
         if action not in self._deferred:
             self._deferred.append(action)
         self.exceptions.attention = True
+
+    def _mpu_changed(self) -> None:
+        self._defer(self.mpu.apply)
 
     def _spend(self, cycles: int) -> None:
         self.clock.advance(self.clock.now + cycles * self.mck_ticks())

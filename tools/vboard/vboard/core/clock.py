@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 TICKS_PER_US = 84
 TICKS_PER_S = 84_000_000
@@ -34,7 +35,12 @@ class _Time:
 
 
 class Clock:
-    """The one clock of a board. ``now`` moves only in advance()."""
+    """The one clock of a board. ``now`` moves only in advance().
+
+    ``line_type``: the kind of serial lines that belong to it, if not the usual one.
+    """
+
+    line_type: ClassVar[type[Any] | None] = None
 
     def __init__(self) -> None:
         self._time = _Time()

@@ -112,7 +112,7 @@ class Registers:
     control: int = 0
 
 
-_ENTRY_IDS = (
+ENTRY_IDS = (
     arm.UC_ARM_REG_R0,
     arm.UC_ARM_REG_R1,
     arm.UC_ARM_REG_R2,
@@ -128,8 +128,8 @@ _GENERAL_IDS = (
     arm.UC_ARM_REG_SP,
     arm.UC_ARM_REG_LR,
 )
-_CALLER_SAVED_IDS = _ENTRY_IDS[:6]
-_MASK_IDS = (arm.UC_ARM_REG_PRIMASK, arm.UC_ARM_REG_BASEPRI, arm.UC_ARM_REG_FAULTMASK)
+_CALLER_SAVED_IDS = ENTRY_IDS[:6]
+MASK_IDS = (arm.UC_ARM_REG_PRIMASK, arm.UC_ARM_REG_BASEPRI, arm.UC_ARM_REG_FAULTMASK)
 
 
 class _Batch:
@@ -181,9 +181,9 @@ class Cpu:
         self._intr = 0
         self._failure: BaseException | None = None
         self._divides = False
-        self._entry = _Batch(self._engine, _ENTRY_IDS)
+        self._entry = _Batch(self._engine, ENTRY_IDS)
         self._caller_saved = _Batch(self._engine, _CALLER_SAVED_IDS)
-        self._masks = _Batch(self._engine, _MASK_IDS)
+        self._masks = _Batch(self._engine, MASK_IDS)
         self._word = ctypes.c_uint32()
         self._word_pointer = ctypes.byref(self._word)
         self.pc = 0
@@ -417,6 +417,12 @@ class Cpu:
                 return Stop.INVALID_STATE
         return _OF_ERROR[error]
 
+    def _try_to_carry_out(self) -> bool:
+        try:
+            return self._carry_out(self._read_register(arm.UC_ARM_REG_PC))
+        except BusViolation:
+            return False
+
     def _carry_out(self, pc: int) -> bool:
         """Whether what Unicorn does not know is known here. With a hint, pc is behind it."""
         code = self._fetch(pc - 2, 6)
@@ -440,10 +446,7 @@ class Cpu:
             library.uc_emu_stop(self._handle)
 
         def on_invalid_instruction(_engine: object, _data: object) -> bool:
-            try:
-                return self._carry_out(self._read_register(arm.UC_ARM_REG_PC))
-            except BusViolation:
-                return False
+            return self._try_to_carry_out()
 
         def on_invalid_memory(
             _engine: object, kind: int, address: int, width: int, value: int, _data: object
@@ -463,12 +466,12 @@ class Cpu:
         self._hook(UC_HOOK_INSN_INVALID, InvalidInstructionHook(on_invalid_instruction))
         self._hook(UC_HOOK_MEM_INVALID, InvalidMemoryHook(on_invalid_memory))
 
-    def _hook(self, kind: int, callback: object) -> None:
+    def _hook(self, kind: int, callback: object, data: object = 0) -> None:
         handle = ctypes.c_size_t()
         self._keep.append(callback)
         begin, end = ctypes.c_uint64(1), ctypes.c_uint64(0)
         status = library.uc_hook_add(
-            self._handle, ctypes.byref(handle), kind, callback, 0, begin, end
+            self._handle, ctypes.byref(handle), kind, callback, data, begin, end
         )
         if status != UC_ERR_OK:
             raise UcError(status)

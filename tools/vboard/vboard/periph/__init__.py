@@ -8,6 +8,7 @@ from vboard.core.bus import BusViolation, Peripheral, Soc
 from vboard.periph.adc import Adc
 from vboard.periph.eefc import Eefc
 from vboard.periph.flash import Flash
+from vboard.periph.models import REFERENCE, Models
 from vboard.periph.pins import PWML_PINS, TXD_PINS
 from vboard.periph.pio import Pio
 from vboard.periph.pmc import Pmc
@@ -16,8 +17,7 @@ from vboard.periph.rstc import Rstc
 from vboard.periph.small import ChipId, Gpbr, Matrix
 from vboard.periph.supply import Rail, SlowClock, Supc
 from vboard.periph.tc import TcChannel
-from vboard.periph.usart import SerialPort, Uart, Usart
-from vboard.periph.wdt import Wdt
+from vboard.periph.usart import SerialPort
 
 PORTS = {
     "UART": (0x400E0800, 8),
@@ -44,11 +44,13 @@ def build(
     seed: int,
     slow: SlowClock | None = None,
     rail: Rail | None = None,
+    models: Models = REFERENCE,
 ) -> dict[str, Peripheral]:
     """All peripherals as they are right after power-on, wired among each other.
 
     Built anew at each power-on; what outlives the power is in ``flash``. ``slow`` and ``rail`` are
-    for boards with a slow clock of their own or a supply that dips.
+    for boards with a slow clock of their own or a supply that dips. ``models`` must go with the
+    soc.
     """
     if len(unique_id) != 16:
         raise ValueError("the unique id has 16 bytes")
@@ -58,17 +60,17 @@ def build(
         for bank, base in enumerate((0x400E0A00, 0x400E0C00))
     ]
     pmc = Pmc(soc, "PMC", 0x400E0600, slow, crystal=crystal)
-    ports = _ports(soc)
+    ports = _ports(soc, models)
     pios = {name: Pio(soc, name, base, pid, pins) for name, (base, pid, pins) in PIOS.items()}
-    timers = [TcChannel(soc, n, base, pid, slow) for n, (base, pid) in TIMERS.items()]
-    pwm = Pwm(soc, "PWM", 0x40094000, 36)
+    timers = [models.timer(soc, n, base, pid, slow) for n, (base, pid) in TIMERS.items()]
+    pwm = models.pwm(soc, "PWM", 0x40094000, 36)
     others: list[Peripheral] = [
         Adc(soc, "ADC", 0x400C0000, 37),
         Matrix(soc, "MATRIX", 0x400E0400),
         ChipId(soc, "CHIPID", 0x400E0940),
         Rstc(soc, "RSTC", 0x400E1A00),
         Supc(soc, "SUPC", 0x400E1A10, slow, rail),
-        Wdt(soc, "WDT", 0x400E1A50, slow),
+        models.watchdog(soc, "WDT", 0x400E1A50, slow),
         Gpbr(soc, "GPBR", 0x400E1A90),
     ]
     _wire_pins(pios, ports, pwm)
@@ -77,9 +79,11 @@ def build(
     return {peripheral.name: peripheral for peripheral in everything}
 
 
-def _ports(soc: Soc) -> list[SerialPort]:
-    kinds: dict[str, type[SerialPort]] = {"UART": Uart}
-    return [kinds.get(name, Usart)(soc, name, base, pid) for name, (base, pid) in PORTS.items()]
+def _ports(soc: Soc, models: Models) -> list[SerialPort]:
+    kinds: dict[str, type[SerialPort]] = {"UART": models.uart}
+    return [
+        kinds.get(name, models.usart)(soc, name, base, pid) for name, (base, pid) in PORTS.items()
+    ]
 
 
 def _wire_pins(pios: dict[str, Pio], ports: list[SerialPort], pwm: Pwm) -> None:

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from vboard.core.bus import Bus, BusViolation
 from vboard.core.clock import Clock, ticks_of_us
+from vboard.native.clock import NativeClock
+from vboard.native.core import Core
+from vboard.native.models import NATIVE
 from vboard.periph import build
 from vboard.periph.flash import FLASH_BASE, Flash
+from vboard.periph.models import REFERENCE, native_unless
 from vboard.periph.pmc import Pmc
 from vboard.periph.supply import Rail, SlowClock
 
@@ -14,7 +20,7 @@ RAM_BASE, RAM_BYTES = 0x20070000, 0x18000
 
 class Bench:
     """A Soc. ``irq`` holds the interrupt lines, ``resets`` the causes of resets asked for; they are
-    not carried out."""
+    not carried out. ``native``: as for Board."""
 
     def __init__(
         self,
@@ -25,8 +31,10 @@ class Bench:
         seed: int = 1,
         slow: SlowClock | None = None,
         rail: Rail | None = None,
+        native: bool | None = None,
     ) -> None:
-        self.clock = Clock()
+        native = native_unless(native)
+        self.clock: Clock = NativeClock() if native else Clock()
         self.bus = Bus(self.clock)
         self.ram = bytearray(RAM_BYTES)
         self.irq: dict[int, bool] = {}
@@ -34,6 +42,12 @@ class Bench:
         self.resets: list[tuple[int, int]] = []
         self.flash = flash or Flash()
         self.slow, self.rail = slow or SlowClock(), rail or Rail()
+        if isinstance(self.clock, NativeClock):
+            calls: dict[str, Callable[..., None]] = {
+                "set_irq": lambda number, level: self.set_irq(number, bool(level)),
+                "request_reset": self.request_reset,
+            }
+            self.core = Core(self.clock, self.flash.memory, self.ram, calls)
         self.periph = build(
             self,
             flash=self.flash,
@@ -42,7 +56,10 @@ class Bench:
             seed=seed,
             slow=self.slow,
             rail=self.rail,
+            models=NATIVE if native else REFERENCE,
         )
+        if native:
+            self.core.follow(self._pmc())
         for peripheral in self.periph.values():
             self.bus.add(peripheral)
 

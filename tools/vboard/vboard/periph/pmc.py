@@ -37,7 +37,8 @@ GATED = frozenset({8, 9, *range(11, 15), *range(17, 25), 26, *range(27, 45)})
 
 class Pmc(WriteProtected):
     """The clock tree. ``on_mck`` is called after each change of the master clock; ``before_mck``
-    ahead of it, and may refuse with a BusViolation.
+    ahead of it, and may refuse with a BusViolation. ``on_gates`` is called after each change of the
+    peripheral clocks, with those that are on.
 
     ``crystal``: whether the 12 MHz crystal swings. With a dead one MOSCXTS never comes, or, with
     ``moscxts_by_time``, comes like with a good one, as it does where it is only the end of a count
@@ -76,6 +77,7 @@ class Pmc(WriteProtected):
         self.moscxts_by_time = False
         self.before_mck: list[Callable[[], None]] = []
         self.on_mck: list[Callable[[], None]] = []
+        self.on_gates: list[Callable[[int], None]] = []
         self.wait_states: Callable[[], int] = lambda: len(FLASH_LIMIT_HZ)
         self.mck_hz = 0
         self._events: dict[int, Event] = {}
@@ -90,7 +92,7 @@ class Pmc(WriteProtected):
         self._events = {}
         self._status = 0x10008
         self._main_since = self.soc.clock.now
-        self._clocked = 0
+        self._set_gates(0)
         self._run_at(self._frequency(self.values["PMC_MCKR"]))
         self._later(MOSCRCS, RC_START_US * 84)
         self._drive()
@@ -104,6 +106,11 @@ class Pmc(WriteProtected):
     def mck_ticks(self) -> int:
         """Ticks of 1/84 us per cycle of the master clock."""
         return TICKS_PER_S // self.mck_hz
+
+    @property
+    def gates(self) -> int:
+        """Peripherals with a switch whose clock is on, by id."""
+        return self._clocked
 
     def pid_clocked(self, pid: int) -> bool:
         """Whether the clock of a peripheral is on; those without a switch always are."""
@@ -313,7 +320,12 @@ class Pmc(WriteProtected):
         wrong = [pid for pid in range(64) if mask >> pid & 1 and pid not in GATED]
         if wrong:
             raise BusViolation(f"PMC: no clock to switch for peripheral ids {wrong}")
-        self._clocked = self._clocked | mask if on else self._clocked & ~mask
+        self._set_gates(self._clocked | mask if on else self._clocked & ~mask)
+
+    def _set_gates(self, clocked: int) -> None:
+        self._clocked = clocked
+        for call in self.on_gates:
+            call(clocked)
 
     def write_pmc_wpmr(self, value: int) -> None:
         """Takes the key."""

@@ -67,7 +67,13 @@ class Piece:
 
 
 @dataclass
-class _Run:
+class Run:
+    """Bytes under way to the chip.
+
+    ``start``: when the first bit of the first one left; ``taken``: how many have arrived and were
+    fetched; ``framing``: those with a bad stop bit.
+    """
+
     start: int
     baud: int
     data: bytes
@@ -75,6 +81,7 @@ class _Run:
     taken: int = 0
 
     def arrival(self, index: int) -> int:
+        """When the last bit of a byte arrives."""
         bits = (index + 1) * BITS_PER_BYTE * TICKS_PER_S
         return self.start - (-bits // self.baud)
 
@@ -105,19 +112,27 @@ class _Damage:
 
 
 class SerialLine:
-    """One wire, both directions, 8N1 at ``baud``."""
+    """One wire, both directions, 8N1 at ``baud``; of the kind that goes with the clock."""
+
+    def __new__(cls, clock: Clock, baud: int, name: str = "line") -> SerialLine:
+        return super().__new__(clock.line_type or cls)
 
     def __init__(self, clock: Clock, baud: int, name: str = "line") -> None:
         self.clock, self.baud, self.name = clock, baud, name
-        self.lost = Losses()
+        self._lost = Losses()
         self.sent_bytes = 0
         self.received_bytes = 0
         self._port: ChipEnd | None = None
-        self._runs: deque[_Run] = deque()
+        self._runs: deque[Run] = deque()
         self._chunks: deque[Chunk] = deque()
-        self._connected = True
+        self._plugged = True
         self._damage = _Damage()
         self._damage_back: dict[int, int | None] = {}
+
+    @property
+    def lost(self) -> Losses:
+        """Bytes that did not make it, by reason."""
+        return self._lost
 
     # The host's side.
 
@@ -125,17 +140,15 @@ class SerialLine:
         """Sends towards the chip from ``at`` (default now), after what is already queued. Returns
         when the last bit arrives."""
         start = max(self.clock.now if at is None else at, self.clock.now)
-        if self._runs:
-            last = self._runs[-1]
-            start = max(start, last.arrival(len(last.data) - 1))
+        start = max(start, self._end() or 0)
         if not data:
             return start
         end = start
         for piece, framing, offset in self._damaged(data):
-            late = _Run(start, self.baud, b"").arrival(offset - 1)
-            run = _Run(late, self.baud, piece, framing)
+            late = Run(start, self.baud, b"").arrival(offset - 1)
+            run = Run(late, self.baud, piece, framing)
             end = run.arrival(len(piece) - 1)
-            self._runs.append(run)
+            self._push(run)
         self.sent_bytes += len(data)
         if self._port is not None:
             self._port.replan()
@@ -149,9 +162,8 @@ class SerialLine:
     def queue_end(self) -> int:
         """When the last bit of what is queued for the chip arrives; now when nothing is."""
         self._sync()
-        if not self._runs:
-            return self.clock.now
-        return self._runs[-1].arrival(len(self._runs[-1].data) - 1)
+        end = self._end()
+        return self.clock.now if end is None else end
 
     def take_timed(self) -> list[Chunk]:
         """What arrived from the chip since the last take, with times."""
@@ -180,19 +192,19 @@ class SerialLine:
     def cut(self) -> None:
         """Pulls the plug: bytes that end while it is out are lost, both ways."""
         self._sync()
-        self._connected = False
+        self._plugged = False
 
     def plug(self) -> None:
         """Puts the plug back."""
         self._sync()
-        self._connected = True
+        self._plugged = True
         if self._port is not None:
             self._port.replan()
 
     @property
     def connected(self) -> bool:
         """Whether the plug is in."""
-        return self._connected
+        return self._plugged
 
     def drop(self, ahead: int = 0) -> None:
         """Loses the byte ``ahead`` bytes after the next one to be sent to the chip."""
@@ -229,7 +241,7 @@ class SerialLine:
 
     def arrival(self, number: int) -> int | None:
         """When the ``number``-th (from 0) byte not yet fetched arrives."""
-        if not self._connected:
+        if not self._plugged:
             return None
         for run in self._runs:
             left = len(run.data) - run.taken
@@ -241,7 +253,7 @@ class SerialLine:
     def bad_arrival(self, baud: float) -> int | None:
         """When the next byte arrives that a receiver at ``baud`` takes with a framing error. May be
         too early: time to ask again."""
-        if not self._connected:
+        if not self._plugged:
             return None
         for run in islice(self._runs, LOOK_AHEAD_RUNS):
             if not _matches(run.baud, baud):
@@ -257,7 +269,7 @@ class SerialLine:
         """End of the first ``ticks`` without a byte: after ``since``, or after the next byte when
         it is None. None when there is no byte to count from. May be too early: time to ask
         again."""
-        if self._connected:
+        if self._plugged:
             for run in islice(self._runs, LOOK_AHEAD_RUNS):
                 first = run.arrival(run.taken)
                 if since is not None and first > since + ticks:
@@ -268,14 +280,23 @@ class SerialLine:
     def deliver(self, first: int, char_ticks: int, data: bytes) -> None:
         """Bytes from the chip; ``first``: the last bit of the first one."""
         baud = BITS_PER_BYTE * TICKS_PER_S / char_ticks
-        if not self._connected:
-            self.lost.cut_from_chip += len(data)
+        if not self._plugged:
+            self._lost.cut_from_chip += len(data)
         elif not _matches(self.baud, baud):
-            self.lost.garbled_from_chip += len(data)
+            self._lost.garbled_from_chip += len(data)
             self._chunks.append(Chunk(first, char_ticks, bytes(b ^ GARBLED for b in data)))
         else:
             self._chunks.extend(self._received(first, char_ticks, data))
         self.received_bytes += len(data)
+
+    def _push(self, run: Run) -> None:
+        self._runs.append(run)
+
+    def _end(self) -> int | None:
+        """When the last byte under way to the chip arrives."""
+        if not self._runs:
+            return None
+        return self._runs[-1].arrival(len(self._runs[-1].data) - 1)
 
     def _received(self, first: int, char_ticks: int, data: bytes) -> Iterator[Chunk]:
         span = range(self.received_bytes, self.received_bytes + len(data))
@@ -311,15 +332,15 @@ class SerialLine:
             start = end + 1
         harm.framing -= set(range(base, base + len(data)))
 
-    def _pieces(self, run: _Run, until: int) -> Iterator[Piece]:
+    def _pieces(self, run: Run, until: int) -> Iterator[Piece]:
         while run.taken < until:
             first = run.taken
             bad = first in run.framing
             cuts = [index for index in run.framing if index > first] if run.framing else []
             last = first + 1 if bad else min([until, *cuts])
             run.taken = last
-            if not self._connected:
-                self.lost.cut_to_chip += last - first
+            if not self._plugged:
+                self._lost.cut_to_chip += last - first
                 continue
             yield Piece(
                 run.data[first:last], run.arrival(first), run.arrival(last - 1), run.baud, bad
