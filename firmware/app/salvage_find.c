@@ -2,6 +2,7 @@
 #include "base/crc.h"
 #include "hal/system.h"
 #include "store/bytes.h"
+#include "store/unpacker.h"
 
 #include <string.h>
 
@@ -163,6 +164,9 @@ static void note_rest(const app_t *app, salvage_t *salvage) {
     if (memcmp(app->record, LOG_MAGIC, MAGIC_BYTES) == 0) {
         salvage->anything = true;
         note_log(app, salvage);
+    } else if (unpacker_knows(app->record)) {
+        salvage->anything = true;
+        salvage_note_trial(salvage, bytes_get_u32(app->record + PACKED_MAGIC_BYTES));
     } else if (record_is_key(app->record)) {
         salvage->anything = salvage->key_damaged = true;
     }

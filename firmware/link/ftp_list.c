@@ -1,6 +1,7 @@
 #include "link/ftp_list.h"
 
 #include "link/ftp_paths.h"
+#include "store/log_reader.h"
 
 #include <string.h>
 
@@ -39,6 +40,7 @@ static void file_line(line_t *line, const char *name, uint32_t size_bytes) {
 }
 
 typedef struct {
+    store_t *store;
     ftp_path_t folder;
     uint8_t *out; /* data of the reply */
     uint8_t used;
@@ -55,13 +57,25 @@ static bool put(listing_t *listing, const line_t *line) {
     return true;
 }
 
+/* Of a log the length of its ULog; as it is stored when it cannot be read. */
+static uint32_t size_of(const listing_t *listing, const store_entry_t *entry) {
+    static const char folder[] = "/trials/";
+    char path[sizeof folder + STORE_PATH_BYTES];
+    log_info_t info;
+    strcpy(path, folder);
+    strcat(path, entry->name);
+    const bool told =
+        listing->folder == FTP_PATH_TRIALS && log_info(listing->store, path, &info) == STORE_OK;
+    return told ? info.ulog_bytes : entry->size_bytes;
+}
+
 static bool put_entry(void *context, const store_entry_t *entry) {
     listing_t *listing = context;
     line_t line = {0};
     if (entry->directory || ftp_path_in_folder(listing->folder, entry->name) == FTP_PATH_HIDDEN) {
         append(&line, "S");
     } else {
-        file_line(&line, entry->name, entry->size_bytes);
+        file_line(&line, entry->name, size_of(listing, entry));
     }
     return put(listing, &line);
 }
@@ -94,7 +108,8 @@ static void put_root(listing_t *listing, store_t *store, uint32_t first) {
 
 ftp_error_t ftp_list(store_t *store, const ftp_request_t *request, uint8_t *reply) {
     char path[STORE_PATH_BYTES];
-    listing_t listing = {.folder = ftp_path_parse(request->data, request->size, path),
+    listing_t listing = {.store = store,
+                         .folder = ftp_path_parse(request->data, request->size, path),
                          .out = reply + FTP_HEADER_BYTES};
     switch (listing.folder) {
     case FTP_PATH_ROOT:

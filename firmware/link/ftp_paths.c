@@ -89,5 +89,10 @@ ftp_path_t ftp_path_parse(const uint8_t *bytes, uint8_t length, char *path) {
         used--;
     }
     path[used] = '\0';
-    return classify(path);
+    const ftp_path_t kind = classify(path);
+    if (kind == FTP_PATH_TRIAL && strcmp(path + used - 4u, ".ulz") == 0) {
+        path[used - 1u] = 'g';
+        return FTP_PATH_PACKED;
+    }
+    return kind;
 }

@@ -1,6 +1,7 @@
 /*
  * Which files the FTP server shows and which it lets be written: /trials, /in with its four upload
- * names, /reference.bin, /crash.bin. All else on the board does not exist for it.
+ * names, /reference.bin, /crash.bin. All else on the board does not exist for it. A log is there
+ * twice: as "NNNN.ulg" it is ULog, as "NNNN.ulz" what the store holds, which may be packed.
  */
 #ifndef LINK_FTP_PATHS_H
 #define LINK_FTP_PATHS_H
@@ -15,12 +16,14 @@ typedef enum {
     FTP_PATH_TRIALS, /* the folder */
     FTP_PATH_IN,     /* the folder */
     FTP_PATH_TRIAL,  /* a file in /trials: read, remove */
+    FTP_PATH_PACKED, /* the same with ".ulz": its bytes as they are stored; not listed */
     FTP_PATH_UPLOAD, /* a file in /in: read, write, remove */
     FTP_PATH_RECORD  /* /reference.bin, /crash.bin: read */
 } ftp_path_t;
 
 /* Takes a path as it came over the wire: |length| bytes, ending early at a zero. "/" in front and
- * at the end may be missing or present. |path| holds STORE_PATH_BYTES and is always terminated. */
+ * at the end may be missing or present. |path| holds STORE_PATH_BYTES and is always terminated;
+ * it becomes the name in the store. */
 ftp_path_t ftp_path_parse(const uint8_t *bytes, uint8_t length, char *path);
 
 /* What |name| in the folder /trials or /in is. */

@@ -88,19 +88,32 @@ static ftp_error_t open_session(ftp_server_t *ftp, const ftp_request_t *request,
     return error;
 }
 
-static ftp_error_t open_for_reading(ftp_server_t *ftp, const ftp_request_t *request,
-                                    uint8_t *reply) {
-    char path[STORE_PATH_BYTES];
+/* The file that is to be read: |path| in the store, and whether it is to be unpacked. */
+static ftp_error_t readable(const ftp_server_t *ftp, const ftp_request_t *request, char *path,
+                            log_info_t *info) {
     const ftp_path_t kind = ftp_path_parse(request->data, request->size, path);
-    if (kind != FTP_PATH_TRIAL && kind != FTP_PATH_UPLOAD && kind != FTP_PATH_RECORD) {
+    *info = (log_info_t){.packed = false};
+    if (kind != FTP_PATH_TRIAL && kind != FTP_PATH_PACKED && kind != FTP_PATH_UPLOAD &&
+        kind != FTP_PATH_RECORD) {
         return FTP_NOT_FOUND;
     }
     if (is_busy(ftp, path)) {
         return FTP_PROTECTED;
     }
-    const ftp_error_t error = open_session(ftp, request, path, STORE_READ);
+    return kind == FTP_PATH_TRIAL ? from_store(log_info(ftp->store, path, info)) : FTP_OK;
+}
+
+static ftp_error_t open_for_reading(ftp_server_t *ftp, const ftp_request_t *request,
+                                    uint8_t *reply) {
+    char path[STORE_PATH_BYTES];
+    log_info_t info;
+    ftp_error_t error = readable(ftp, request, path, &info);
     if (error == FTP_OK) {
-        ftp_set_u32(reply, store_file_size(ftp->store, &ftp->file));
+        error = open_session(ftp, request, path, STORE_READ);
+    }
+    if (error == FTP_OK) {
+        log_reader_begin(&ftp->reader, ftp->store, &ftp->file, &info);
+        ftp_set_u32(reply, ftp->reader.size);
     }
     return error;
 }
@@ -123,13 +136,12 @@ static ftp_error_t read_file(ftp_server_t *ftp, const ftp_request_t *request, ui
     if (!owns_session(ftp, request) || ftp->writing) {
         return FTP_INVALID_SESSION;
     }
-    if (request->offset >= store_file_size(ftp->store, &ftp->file)) {
+    if (request->offset >= ftp->reader.size) {
         return FTP_EOF;
     }
     size_t got = 0;
-    const store_result_t result =
-        store_read_at(ftp->store, &ftp->file, request->offset, reply + FTP_HEADER_BYTES,
-                      wanted_bytes(request), &got);
+    const store_result_t result = log_reader_read(
+        &ftp->reader, request->offset, reply + FTP_HEADER_BYTES, wanted_bytes(request), &got);
     ftp_set_size(reply, (uint8_t)got);
     return from_store(result);
 }
@@ -139,7 +151,7 @@ static ftp_error_t begin_burst(ftp_server_t *ftp, const ftp_request_t *request) 
         return FTP_INVALID_SESSION;
     }
     ftp->bursting = false;
-    if (request->offset >= store_file_size(ftp->store, &ftp->file)) {
+    if (request->offset >= ftp->reader.size) {
         return FTP_EOF;
     }
     ftp->bursting = true;
@@ -191,17 +203,19 @@ static ftp_error_t remove_file(ftp_server_t *ftp, const ftp_request_t *request) 
     return from_store(store_remove(ftp->store, path));
 }
 
+/* To unpack a long log takes longer than the main loop may pause while the fish swims. */
 static ftp_error_t checksum(ftp_server_t *ftp, const ftp_request_t *request, uint8_t *reply) {
     char path[STORE_PATH_BYTES];
-    const ftp_path_t kind = ftp_path_parse(request->data, request->size, path);
-    if (kind != FTP_PATH_TRIAL && kind != FTP_PATH_UPLOAD && kind != FTP_PATH_RECORD) {
-        return FTP_NOT_FOUND;
-    }
-    if (is_busy(ftp, path)) {
+    log_info_t info;
+    uint32_t crc = 0;
+    ftp_error_t error = readable(ftp, request, path, &info);
+    if (info.packed && ftp->conditions.read_only) {
         return FTP_PROTECTED;
     }
-    uint32_t crc = 0;
-    const ftp_error_t error = from_store(store_crc32(ftp->store, path, &crc));
+    if (error == FTP_OK) {
+        error = from_store(info.packed ? log_reader_crc32(&ftp->reader, ftp->store, path, &crc)
+                                       : store_crc32(ftp->store, path, &crc));
+    }
     ftp_set_u32(reply, crc);
     return error;
 }
@@ -334,8 +348,8 @@ bool ftp_server_burst(ftp_server_t *ftp, uint8_t *reply) {
     }
     memset(reply, 0, FTP_PAYLOAD_BYTES);
     size_t got = 0;
-    const store_result_t result = store_read_at(ftp->store, &ftp->file, ftp->burst_offset,
-                                                reply + FTP_HEADER_BYTES, ftp->burst_size, &got);
+    const store_result_t result = log_reader_read(&ftp->reader, ftp->burst_offset,
+                                                  reply + FTP_HEADER_BYTES, ftp->burst_size, &got);
     const uint32_t next = ftp->burst_offset + (uint32_t)got;
     ftp->burst_left--;
     const bool failed = result != STORE_OK || got == 0;
@@ -344,8 +358,7 @@ bool ftp_server_burst(ftp_server_t *ftp, uint8_t *reply) {
         .session = ftp->session,
         .offset = ftp->burst_offset,
         .size = (uint8_t)got,
-        .complete =
-            failed || ftp->burst_left == 0 || next >= store_file_size(ftp->store, &ftp->file),
+        .complete = failed || ftp->burst_left == 0 || next >= ftp->reader.size,
     };
     ftp_put_burst(&packet, reply);
     if (failed) {

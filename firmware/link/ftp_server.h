@@ -14,14 +14,15 @@
  * FTP_BURST_PACKETS or of the file's end, has burst_complete set; a request at or beyond the end is
  * answered by NAK EOF. OpenFileWO does what CreateFile does: the file starts anew. Blocks of an
  * upload may come in any order below FTP_IN_FILE_MAX_BYTES; a block that never comes leaves zeros,
- * which the CRC finds. What looks like one of the board's own records is refused (Fail), and so are
- * writes at 1 to 3 bytes from the begin. Main loop only; writing may take as long as the store's
- * writes do.
+ * which the CRC finds. A trial's log is unpacked while it is read, unless it is opened by the name
+ * of its stored bytes (ftp_paths.h). What looks like one of the board's own records is refused
+ * (Fail), and so are writes at 1 to 3 bytes from the begin. Main loop only; writing may take as
+ * long as the store's writes do.
  */
 #ifndef LINK_FTP_SERVER_H
 #define LINK_FTP_SERVER_H
 
-#include "store/store.h"
+#include "store/log_reader.h"
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -51,6 +52,7 @@ typedef struct {
     store_t *store;
     ftp_conditions_t conditions;
     store_file_t file;
+    log_reader_t reader; /* of |file|, while it is read */
     bool open, writing;
     uint8_t session;
     ftp_host_t owner;

@@ -242,8 +242,8 @@ void store_unmount(store_t *store) {
     }
 }
 
-static int open_short(store_t *store, lfs_file_t *file, struct lfs_file_config *config,
-                      const char *path, int flags) {
+int store_open_short(store_t *store, lfs_file_t *file, struct lfs_file_config *config,
+                     const char *path, int flags) {
     config->buffer = store->file_cache;
     return lfs_file_opencfg(&store->lfs, file, path, flags, config);
 }
@@ -265,7 +265,7 @@ static int write_whole(store_t *store, const char *path, const void *bytes, size
         config = marked(&mark, mark_bytes);
     }
     const int opened =
-        open_short(store, &file, &config, path, LFS_O_WRONLY | LFS_O_CREAT | LFS_O_TRUNC);
+        store_open_short(store, &file, &config, path, LFS_O_WRONLY | LFS_O_CREAT | LFS_O_TRUNC);
     if (opened < 0) {
         return opened;
     }
@@ -310,7 +310,7 @@ store_result_t store_load(store_t *store, const char *path, void *out, size_t le
     }
     lfs_file_t file;
     struct lfs_file_config config = {0};
-    const int opened = open_short(store, &file, &config, path, LFS_O_RDONLY);
+    const int opened = store_open_short(store, &file, &config, path, LFS_O_RDONLY);
     if (opened < 0) {
         return store_result(opened);
     }
@@ -334,7 +334,7 @@ store_result_t store_generation(store_t *store, const char *path, uint32_t *gene
     struct lfs_attr mark;
     uint8_t mark_bytes[4] = {0};
     struct lfs_file_config config = marked(&mark, mark_bytes);
-    const int opened = open_short(store, &file, &config, path, LFS_O_RDONLY);
+    const int opened = store_open_short(store, &file, &config, path, LFS_O_RDONLY);
     if (opened >= 0) {
         *generation = bytes_get_u32(mark_bytes);
         (void)lfs_file_close(&store->lfs, &file);
@@ -372,7 +372,7 @@ store_result_t store_crc32(store_t *store, const char *path, uint32_t *crc) {
     }
     lfs_file_t file;
     struct lfs_file_config config = {0};
-    const int opened = open_short(store, &file, &config, path, LFS_O_RDONLY);
+    const int opened = store_open_short(store, &file, &config, path, LFS_O_RDONLY);
     if (opened < 0) {
         return store_result(opened);
     }

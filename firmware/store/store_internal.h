@@ -1,4 +1,4 @@
-/* Shared between store.c and store_file.c only. */
+/* Shared by store.c, store_file.c and log_reader.c only. */
 #ifndef STORE_STORE_INTERNAL_H
 #define STORE_STORE_INTERNAL_H
 
@@ -12,6 +12,10 @@ bool store_begin(store_t *store);
 
 /* |path| is removed or replaced: who reads it must not read what its blocks hold next. */
 void store_lose_reader(store_t *store, const char *path);
+
+/* Opens a file that is closed within this call; they share one buffer. Returns littlefs's code. */
+int store_open_short(store_t *store, lfs_file_t *file, struct lfs_file_config *config,
+                     const char *path, int flags);
 
 /* littlefs's code as ours. */
 store_result_t store_result(int code);

@@ -2,6 +2,7 @@
 
 #include "base/panic.h"
 #include "store/bytes.h"
+#include "store/log_reader.h"
 #include "store/ulog.h"
 
 #define PATH_DIGITS_MIN 4u
@@ -36,24 +37,47 @@ static const char *const formats[ID_COUNT] = {
     [ID_TRIAL_END] = "trial_end:uint64_t timestamp;uint16_t end;uint16_t executed;",
     [ID_REST] = "rest:uint64_t timestamp;float begin_s;float still_s;float tilt_sigma_rad;"};
 
-/* Field bytes after the timestamp, and what a whole data message adds to them. */
+/* Field bytes after the timestamp. */
 #define SLOT_BYTES 16u
 #define BEAT_BYTES 24u
 #define BATTERY_BYTES 4u
 #define TRIAL_END_BYTES 4u
 #define REST_BYTES 12u
 #define RESTS 2u
-#define DATA_OVERHEAD_BYTES (ULOG_HEADER_BYTES + 2u + 8u)
 #define TEXT_OVERHEAD_BYTES (ULOG_HEADER_BYTES + 1u + 8u)
 #define SLOTS_PER_S 10u
-
-/* Header and definitions without the parameters: 1003 bytes with texts of 40 characters. */
-#define DEFINITIONS_BYTES 1016u
 #define PARAMETERS_PER_POLL 16u /* two pages */
 #define PARAMETER_BYTES (ULOG_HEADER_BYTES + 1u + 6u + PARAM_NAME_BYTES + 4u)
 
-_Static_assert(TRIAL_LOG_PIECE_BYTES + ULOG_MESSAGE_MAX_BYTES <= TRIAL_LOG_BUFFER_BYTES,
-               "after writing what a full piece holds any message fits");
+/* Header and definitions without the parameters: 1003 bytes with texts of 40 characters. */
+#define DEFINITIONS_BYTES 1016u
+
+/* Packed bits at worst, packed.h: every field escapes but the time's high word. That one changes
+ * once in 71 minutes; what it costs when the model starts anew is in PIECE_OVERHEAD_BYTES. */
+#define RECORD_BITS(fields, bytes)                                                                 \
+    (PACKED_TOKEN_BITS + PACKED_ESCAPE + 32u + 1u + PACKED_ESCAPE * (fields) + 8u * (bytes))
+#define SLOT_BITS RECORD_BITS(8u, SLOT_BYTES)
+#define BEAT_BITS RECORD_BITS(7u, BEAT_BYTES)
+#define BATTERY_BITS RECORD_BITS(1u, BATTERY_BYTES)
+#define ONCE_BITS (RECORD_BITS(2u, TRIAL_END_BYTES) + RESTS * RECORD_BITS(3u, REST_BYTES))
+#define TEXT_BITS PACKER_BITS(TEXT_OVERHEAD_BYTES + TRIAL_LOG_TEXT_BYTES)
+#define SPLIT_MESSAGES                                                                             \
+    30u /* definitions without the parameters; each begins a chunk of its own                      \
+         */
+#define DEFINITIONS_BITS                                                                           \
+    (PACKER_BITS(DEFINITIONS_BYTES) + SPLIT_MESSAGES * PACKER_BITS(0u) +                           \
+     PARAM_COUNT * PACKER_BITS(PARAMETER_BYTES))
+
+/* Pieces: a message that may not fit goes into the next one, and so does what follows a sync. */
+#define LONG_MESSAGES ID_COUNT /* formats */
+#define PIECE_LEAST_BYTES (PACKER_PAYLOAD_BYTES - TEXT_BITS / 8u - 1u)
+#define TIME_HIGH_BYTES (PACKED_TOPICS * 10u)
+#define PIECE_OVERHEAD_BYTES                                                                       \
+    (PACKED_PIECE_HEADER_BYTES + 1u + TIME_HIGH_BYTES / PACKER_GROUP_PIECES)
+
+/* The lower half of the buffer holds the piece that grows, the upper one a message. */
+_Static_assert(PACKER_PIECE_BYTES + ULOG_MESSAGE_MAX_BYTES <= TRIAL_LOG_BUFFER_BYTES,
+               "the buffer holds a piece and a message");
 
 void trial_log_path(uint32_t trial, char *out) {
     char digits[PATH_DIGITS_MAX];
@@ -70,33 +94,34 @@ void trial_log_path(uint32_t trial, char *out) {
 }
 
 uint32_t trial_log_size_bound(uint16_t beats, uint32_t duration_s) {
-    const uint32_t per_second =
-        SLOTS_PER_S * (DATA_OVERHEAD_BYTES + SLOT_BYTES) + DATA_OVERHEAD_BYTES + BATTERY_BYTES;
-    const uint32_t per_beat = 2u * (DATA_OVERHEAD_BYTES + BEAT_BYTES);
-    return DEFINITIONS_BYTES + PARAM_COUNT * PARAMETER_BYTES + beats * per_beat +
-           (duration_s + 1u) * per_second + DATA_OVERHEAD_BYTES + TRIAL_END_BYTES +
-           RESTS * (DATA_OVERHEAD_BYTES + REST_BYTES) +
-           TRIAL_LOG_TEXTS * (TEXT_OVERHEAD_BYTES + TRIAL_LOG_TEXT_BYTES);
+    const uint32_t per_second = SLOTS_PER_S * SLOT_BITS + BATTERY_BITS;
+    const uint32_t bits = DEFINITIONS_BITS + TRIAL_LOG_TEXTS * TEXT_BITS + ONCE_BITS +
+                          2u * beats * BEAT_BITS + (duration_s + 1u) * per_second;
+    const uint32_t payload = bits / 8u + 1u;
+    const uint32_t syncs = duration_s / (TRIAL_LOG_SYNC_US / 1000000u) + 4u;
+    const uint32_t pieces = payload / PIECE_LEAST_BYTES + 1u + LONG_MESSAGES + syncs;
+    return PACKED_HEADER_BYTES + payload + pieces * PIECE_OVERHEAD_BYTES;
 }
 
 /* A failed file keeps what its last sync saw; closing it writes nothing more. */
 static void fail(trial_log_t *log) {
     log->failed = true;
-    log->held = 0;
     if (log->file.open) {
         (void)store_close(log->store, &log->file);
     }
 }
 
-static void write_held(trial_log_t *log) {
-    if (log->failed || log->held == 0u) {
-        return;
-    }
-    const store_result_t result = store_append(log->store, &log->file, log->buffer, log->held);
-    log->held = 0;
-    if (result != STORE_OK) {
+static bool writable(const trial_log_t *log) { return log->file.open && !log->failed; }
+
+static void append(trial_log_t *log, const uint8_t *bytes, size_t length) {
+    if (writable(log) && length > 0 &&
+        store_append(log->store, &log->file, bytes, length) != STORE_OK) {
         fail(log);
     }
+}
+
+static void write_held(trial_log_t *log) {
+    append(log, log->buffer, packer_end_piece(&log->packer));
 }
 
 static void sync_file(trial_log_t *log) {
@@ -107,44 +132,41 @@ static void sync_file(trial_log_t *log) {
 
 static void put_rest(trial_log_t *log);
 
-static bool writable(const trial_log_t *log) { return log->file.open && !log->failed; }
+/* Where a message is made. */
+static uint8_t *room(trial_log_t *log) { return log->buffer + PACKER_PIECE_BYTES; }
 
-/* Room for one message of the definitions; NULL when the log is closed. */
-static uint8_t *room(trial_log_t *log) {
-    if (log->held > TRIAL_LOG_BUFFER_BYTES - ULOG_MESSAGE_MAX_BYTES) {
-        write_held(log);
-    }
-    return writable(log) ? log->buffer + log->held : NULL;
-}
-
-/* Room for one message behind the definitions. */
+/* The same for a message behind the definitions. */
 static uint8_t *room_behind(trial_log_t *log) {
     put_rest(log);
     return room(log);
 }
 
-static void keep(trial_log_t *log, size_t length) { log->held = (uint16_t)(log->held + length); }
+/* Takes the message that was made, into one piece: what a cut leaves ends with a whole one. */
+static void keep(trial_log_t *log, size_t length) {
+    const uint8_t *const message = room(log);
+    if (log->plain) {
+        append(log, message, length);
+        return;
+    }
+    for (size_t done = 0; done < length && writable(log);) {
+        if (!packer_fits(&log->packer, length - done)) {
+            write_held(log);
+        }
+        done += packer_put(&log->packer, message + done, length - done);
+    }
+}
 
 static void put_data(trial_log_t *log, message_id_t id, uint64_t time_us, const uint8_t *fields,
                      size_t length) {
-    uint8_t *out = room_behind(log);
-    if (out != NULL) {
-        keep(log, ulog_data(out, (uint16_t)id, time_us, fields, length));
-    }
+    keep(log, ulog_data(room_behind(log), (uint16_t)id, time_us, fields, length));
 }
 
 static void put_info_text(trial_log_t *log, const char *name, const char *text) {
-    uint8_t *out = room(log);
-    if (out != NULL) {
-        keep(log, ulog_info_text(out, name, text));
-    }
+    keep(log, ulog_info_text(room(log), name, text));
 }
 
 static void put_info_u32(trial_log_t *log, const char *key, uint32_t value) {
-    uint8_t *out = room(log);
-    if (out != NULL) {
-        keep(log, ulog_info_u32(out, key, value));
-    }
+    keep(log, ulog_info_u32(room(log), key, value));
 }
 
 static void put_unique_id(trial_log_t *log, const uint8_t id[UNIQUE_ID_BYTES]) {
@@ -158,29 +180,20 @@ static void put_unique_id(trial_log_t *log, const uint8_t id[UNIQUE_ID_BYTES]) {
 }
 
 static void put_start(trial_log_t *log, uint64_t start_us) {
-    uint8_t *out = room(log);
-    if (out != NULL) {
-        uint8_t bytes[8];
-        (void)bytes_put_u64(bytes, start_us);
-        keep(log, ulog_info(out, "uint64_t start_us", bytes, sizeof bytes));
-    }
+    uint8_t bytes[8];
+    (void)bytes_put_u64(bytes, start_us);
+    keep(log, ulog_info(room(log), "uint64_t start_us", bytes, sizeof bytes));
 }
 
 static void put_beat(trial_log_t *log, float beat_s) {
-    uint8_t *out = room(log);
-    if (out != NULL) {
-        uint8_t bytes[4];
-        (void)bytes_put_f32(bytes, beat_s);
-        keep(log, ulog_info(out, "float beat_s", bytes, sizeof bytes));
-    }
+    uint8_t bytes[4];
+    (void)bytes_put_f32(bytes, beat_s);
+    keep(log, ulog_info(room(log), "float beat_s", bytes, sizeof bytes));
 }
 
 static void put_formats(trial_log_t *log) {
     for (unsigned id = 0; id < ID_COUNT; id++) {
-        uint8_t *out = room(log);
-        if (out != NULL) {
-            keep(log, ulog_format(out, formats[id]));
-        }
+        keep(log, ulog_format(room(log), formats[id]));
     }
 }
 
@@ -202,19 +215,13 @@ static void put_infos(trial_log_t *log, const trial_log_header_t *header) {
 static void put_parameters(trial_log_t *log, unsigned most) {
     for (unsigned i = 0; i < most && log->parameters_put < PARAM_COUNT; i++) {
         const param_t param = (param_t)log->parameters_put++;
-        uint8_t *out = room(log);
-        if (out != NULL) {
-            keep(log, ulog_parameter(out, param_info(param)->name, log->params->value[param]));
-        }
+        keep(log, ulog_parameter(room(log), param_info(param)->name, log->params->value[param]));
     }
 }
 
 static void put_subscriptions(trial_log_t *log) {
     for (unsigned id = 0; id < ID_COUNT; id++) {
-        uint8_t *out = room(log);
-        if (out != NULL) {
-            keep(log, ulog_subscribe(out, (uint16_t)id, topics[id]));
-        }
+        keep(log, ulog_subscribe(room(log), (uint16_t)id, topics[id]));
     }
 }
 
@@ -253,8 +260,12 @@ store_result_t trial_log_begin(trial_log_t *log, store_t *store, const trial_log
         return result;
     }
     log->last_sync_us = header->start_us;
-    keep(log, ulog_file_header(log->buffer, header->start_us));
-    keep(log, ulog_flag_bits(log->buffer + log->held));
+    uint8_t packed_header[PACKED_HEADER_BYTES];
+    packer_file_header(packed_header, header->trial);
+    append(log, packed_header, sizeof packed_header);
+    packer_begin(&log->packer, log->buffer);
+    keep(log, ulog_file_header(room(log), header->start_us));
+    keep(log, ulog_flag_bits(room(log)));
     put_formats(log);
     put_infos(log, header);
     log->params = params;
@@ -308,10 +319,7 @@ void trial_log_battery(trial_log_t *log, uint64_t time_us, uint16_t battery_mv) 
 }
 
 void trial_log_text(trial_log_t *log, uint64_t time_us, const char *text) {
-    uint8_t *out = room_behind(log);
-    if (out != NULL) {
-        keep(log, ulog_text(out, time_us, text, TRIAL_LOG_TEXT_BYTES));
-    }
+    keep(log, ulog_text(room_behind(log), time_us, text, TRIAL_LOG_TEXT_BYTES));
 }
 
 void trial_log_end(trial_log_t *log, uint64_t time_us, fault_t end, uint16_t executed) {
@@ -332,12 +340,13 @@ void trial_log_poll(trial_log_t *log, uint64_t now_us) {
         return;
     }
     const bool due = now_us >= log->last_sync_us && now_us - log->last_sync_us >= TRIAL_LOG_SYNC_US;
-    const bool sync_now = log->sync_due && log->held < TRIAL_LOG_PIECE_BYTES;
+    const bool full = !packer_fits(&log->packer, PACKED_CHUNK_BYTES);
+    const bool sync_now = log->sync_due && !full;
     if (sync_now) {
         sync_file(log);
         log->sync_due = false;
         log->last_sync_us = now_us;
-    } else if (due || log->held >= TRIAL_LOG_PIECE_BYTES) {
+    } else if (due || full) {
         write_held(log);
         log->sync_due = log->sync_due || due;
     }
@@ -353,5 +362,18 @@ store_result_t trial_log_close(trial_log_t *log) {
 }
 
 store_result_t trial_log_reopen(trial_log_t *log, store_t *store, uint32_t trial) {
-    return open_log(log, store, trial, STORE_APPEND);
+    char path[STORE_PATH_BYTES];
+    log_info_t info;
+    store_result_t result = open_log(log, store, trial, STORE_APPEND);
+    if (result == STORE_OK) {
+        trial_log_path(trial, path);
+        result = log_info(store, path, &info);
+    }
+    if (result != STORE_OK) {
+        fail(log);
+        return result;
+    }
+    log->plain = !info.packed;
+    packer_begin(&log->packer, log->buffer);
+    return STORE_OK;
 }

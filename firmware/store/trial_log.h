@@ -1,7 +1,8 @@
 /*
- * One ULog file per trial (/trials/NNNN.ulg), appended to while swimming. Collects whole messages
- * in RAM and writes them in pieces; synced every 5 s, closed at the end. After a power cut the file
- * is what the last sync saw and ends with a whole message. Main loop only.
+ * One ULog file per trial (/trials/NNNN.ulg), packed (packed.h) and appended to while swimming.
+ * Packs whole messages into pieces in RAM and writes those; synced every 5 s, closed at the end.
+ * After a power cut the file is what the last sync saw and unpacks to whole messages. log_reader.h
+ * reads it back. Main loop only.
  *
  * The longest pause of the main loop while swimming is one call of these. A call writes at most 9
  * flash pages: a block that must move, because its half was synced, and one more; or a folder.
@@ -14,13 +15,13 @@
 
 #include "params/params.h"
 #include "speed/estimate.h"
+#include "store/packer.h"
 #include "store/store.h"
 #include "supervisor/faults.h"
 
 #define TRIAL_LOG_BUFFER_BYTES 512u
-#define TRIAL_LOG_PIECE_BYTES 256u /* held bytes at which a poll writes: one flash page */
-#define TRIAL_LOG_TEXT_BYTES 60u   /* longer texts are cut */
-#define TRIAL_LOG_TEXTS 6u         /* counted in the size bound; a stop, what follows it, no rest */
+#define TRIAL_LOG_TEXT_BYTES 60u /* longer texts are cut */
+#define TRIAL_LOG_TEXTS 6u       /* counted in the size bound; a stop, what follows it, no rest */
 #define TRIAL_LOG_SYNC_US 5000000u
 
 typedef struct {
@@ -48,10 +49,11 @@ typedef struct {
 typedef struct {
     store_t *store;
     store_file_t file;
-    uint8_t buffer[TRIAL_LOG_BUFFER_BYTES];
-    uint16_t held;
-    const params_t *params; /* not all written yet; NULL = written */
+    packer_t packer;
+    uint8_t buffer[TRIAL_LOG_BUFFER_BYTES]; /* a piece and a message */
+    const params_t *params;                 /* not all written yet; NULL = written */
     uint16_t parameters_put;
+    bool plain;    /* a log of earlier firmware, which did not pack, is appended to */
     bool sync_due; /* at the next poll */
     uint64_t last_sync_us;
     uint32_t trial;
@@ -62,8 +64,8 @@ typedef struct {
 void trial_log_path(uint32_t trial, char *out);
 
 /* Upper bound of the file's size: |beats| beats, logged for |duration_s| (swim and settling) with
- * ten slots and one battery record a second, two rests, and all beats once more for an upload;
- * below 20 KB for 40 beats of 1 s and 6 s of settling. */
+ * ten slots and one battery record a second, two rests, and all beats once more for an upload, with
+ * values that cannot be packed; below 21 KB for 40 beats of 1 s and 6 s of settling. */
 uint32_t trial_log_size_bound(uint16_t beats, uint32_t duration_s);
 
 /* Makes the file (over an older one of that number) and writes the header and the first

@@ -30,6 +30,7 @@
 #include "speed/source.h"
 #include "speed/speed.h"
 #include "store/records.h"
+#include "store/unpacker.h"
 #include "supervisor/faults.h"
 #include "supervisor/stop_rules.h"
 #include "supervisor/supervisor.h"
@@ -53,6 +54,7 @@ enum {
     NATIVE_SPEED_NO_MOTION = SPEED_NO_MOTION,
     NATIVE_SMOOTHER_AFTER = SMOOTHER_AFTER,
     NATIVE_IMU_BINARY_MAX_BYTES = IMU_BINARY_MAX_BYTES,
+    NATIVE_PACKED_GAIN_MAX = PACKED_GAIN_MAX,
     NATIVE_RECORD_MAX_BYTES = RECORD_MAX_BYTES,
     NATIVE_RECORD_TRIAL_MAX_BYTES = RECORD_TRIAL_MAX_BYTES
 };

@@ -13,6 +13,7 @@ from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError, Refused, TransferError
 from tailbeat.core.faults import BAD_DATA, BAD_FILE, NO_REFERENCE, refusal
 from tailbeat.core.native import ffi, lib
+from tailbeat.core.packed_log import unpack_log
 from tailbeat.core.records import Amplitudes
 from tailbeat.core.reference import Reference
 from tailbeat.link import _dialect as mavlink
@@ -311,9 +312,15 @@ class BoardMemory:
         TransferError
             There is no such trial, or the copy failed.
         """
-        name = f"{number:04d}.ulg"
-        local = folder / name
-        self.ftp.pull(f"{TRIALS}/{name}", local, progress)
+        local = folder / f"{number:04d}.ulg"
+        stored = f"{TRIALS}/{number:04d}"
+        try:
+            self.ftp.pull(f"{stored}.ulz", local, progress, unpack_log)
+        except FtpError as error:
+            if error.code != _FTP_NOT_FOUND:
+                raise
+            # earlier firmware has no packed logs
+            self.ftp.pull(f"{stored}.ulg", local, progress, unpack_log)
         return local
 
     def _record(self, path: str) -> bytes | None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import secrets
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -170,17 +171,23 @@ class FtpClient:
         self.send(TERMINATE, session)
         return taken
 
-    def pull(self, path: str, local: Path, progress: Progress | None = None) -> None:
+    def pull(
+        self,
+        path: str,
+        local: Path,
+        progress: Progress | None = None,
+        unpack: Callable[[bytes], bytes] | None = None,
+    ) -> None:
         """Copies a file byte for byte, resuming what an earlier call left behind.
 
         While it runs, ``local`` + ``.part`` holds the beginning; ``local`` appears, whole and with
-        its CRC verified, in one step at the end.
+        its CRC verified, in one step at the end. It holds what ``unpack`` makes of the file.
         """
         for _ in range(_ROUNDS):
             expected = self.crc32(path)
             with contextlib.closing(PartFile(local, path, expected)) as part:
                 if self._fetch(path, part, progress) and crc32(bytes(part.data)) == expected:
-                    part.finish()
+                    part.finish(unpack)
                     return
                 part.drop()
         raise TransferError(

@@ -362,9 +362,13 @@ class PartFile:
         replace_file(self._note, json.dumps(note))
         self._noted = len(self.data)
 
-    def finish(self) -> None:
-        """The file is whole: gives it its name."""
+    def finish(self, unpack: Callable[[bytes], bytes] | None = None) -> None:
+        """The file is whole: gives it, or what ``unpack`` makes of it, its name."""
         assert self._file is not None
+        if unpack is not None:
+            replace_file(self._local, unpack(bytes(self.data)))
+            self.drop()
+            return
         self._file.flush()
         os.fsync(self._file.fileno())
         if os.name == "nt":
