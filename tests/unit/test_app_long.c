@@ -5,6 +5,7 @@
 #include "app_fixture.h"
 
 #include "store/bytes.h"
+#include "store/unpacker.h"
 
 #define BEAT_S 0.2
 #define SPEED_0_M_S 0.02
@@ -57,13 +58,15 @@ static void expect_speeds(void) {
 /* How many records of beat |k| its trial file has, with the speed it became. */
 static void count_beat_records(uint16_t count[BEATS_MAX]) {
     char path[STORE_PATH_BYTES];
-    static uint8_t bytes[100u * 1024u];
+    static uint8_t stored[32u * 1024u], bytes[64u * 1024u];
+    bool damaged = true;
     trial_log_path(app.run.trial.number, path);
     uint32_t size_bytes = 0;
     TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, path, &size_bytes));
-    TEST_ASSERT_TRUE(size_bytes <= sizeof bytes);
-    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.store, path, bytes, size_bytes));
-    const size_t length = size_bytes;
+    TEST_ASSERT_TRUE(size_bytes <= sizeof stored);
+    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.store, path, stored, size_bytes));
+    const size_t length = unpacker_all(stored, size_bytes, bytes, sizeof bytes, &damaged);
+    TEST_ASSERT_FALSE(damaged);
     uint16_t topic = UINT16_MAX;
     for (size_t at = 16; at + 3u <= length; at += 3u + bytes_get_u16(bytes + at)) {
         const uint8_t *body = bytes + at + 3;

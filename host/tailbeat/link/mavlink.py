@@ -12,6 +12,7 @@ from tailbeat.core.errors import LinkLostError, Refused, TailbeatError
 from tailbeat.core.faults import NOT_FRESH, NOT_SIGNED, UNKNOWN_COMMAND, WRONG_STATE, refusal
 from tailbeat.core.printable import printable
 from tailbeat.link import _dialect as mavlink
+from tailbeat.link.round_trip import RoundTrip
 from tailbeat.link.signing import Signing
 from tailbeat.link.transport import Transport
 
@@ -99,7 +100,8 @@ class Link:
     """One board behind one transport.
 
     Every wait keeps the board's heartbeat rule satisfied, whatever is being waited for. ``rate`` is
-    how many seconds pass on the board per second of the transport's clock; BoardClock keeps it.
+    how many seconds pass on the board per second of the transport's clock; BoardClock keeps it, and
+    tells ``round_trip`` what it sees.
     With a board that has a key everything sent is signed, and what it has not signed is dropped.
     """
 
@@ -113,6 +115,7 @@ class Link:
         self.transport = transport
         self.signing = Signing() if signing is None else signing
         self.rate = 1.0
+        self.round_trip = RoundTrip()
         self.heartbeat_period_s = HEARTBEAT_PERIOD_S
         self.said = 0  # how often the last command was
         self.last_heard_s = transport.now_s()

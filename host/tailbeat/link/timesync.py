@@ -133,4 +133,5 @@ class BoardClock:
         if sent_s is None:
             return
         now_s = self._link.transport.now_s()
+        self._link.round_trip.heard(now_s - sent_s)
         self.add(ClockSample((sent_s + now_s) / 2, message.tc1 * 1e-9, now_s - sent_s))

@@ -34,7 +34,6 @@ from tailbeat.link.ftp.wire import (
     FtpRequest,
     Progress,
     RequestWindow,
-    RoundTrip,
     StallTimer,
     is_for_us,
     parse,
@@ -56,7 +55,7 @@ class Upload:
         self._data = data
         self._session = client.open(CREATE, path).session
         self._todo = list(range(0, len(data), DATA_BYTES))
-        self._window = RequestWindow(self._link, client.round_trip)
+        self._window = RequestWindow(self._link)
 
     def send(self, progress: Progress | None) -> None:
         """All blocks, each until acknowledged, and the file's end. Raises FtpError."""
@@ -100,7 +99,7 @@ class Upload:
 
 _ENTRIES_MAX = 10_000  # far more than fit on any board
 _TRIES = 16
-_LEAST_S = 0.25  # the CRC of a long file takes the board a while
+_LEAST_S = 0.12  # the CRC of a long file takes the board a while
 _ROUNDS = 3  # of a whole transfer: a board that restarts, a file that changes
 
 
@@ -118,7 +117,6 @@ class FtpClient:
 
     def __init__(self, link: Link) -> None:
         self.link = link
-        self.round_trip = RoundTrip()
         self._seq = secrets.randbelow(0x10000)
         self._session = self._seq & 0xFF
         self._repeated = False
@@ -184,9 +182,10 @@ class FtpClient:
         its CRC verified, in one step at the end. It holds what ``unpack`` makes of the file.
         """
         for _ in range(_ROUNDS):
-            expected = self.crc32(path)
+            expected, opened = self._crc32_and_open(path)
             with contextlib.closing(PartFile(local, path, expected)) as part:
-                if self._fetch(path, part, progress) and crc32(bytes(part.data)) == expected:
+                whole = self._fetch(path, opened, part, progress)
+                if whole and crc32(bytes(part.data)) == expected:
                     part.finish(unpack)
                     return
                 part.drop()
@@ -195,9 +194,23 @@ class FtpClient:
             "Try again; a trial that is running still changes it.",
         )
 
-    def _fetch(self, path: str, part: PartFile, progress: Progress | None) -> bool:
+    def _crc32_and_open(self, path: str) -> tuple[int, FtpReply]:
+        """Both are asked at once: what is lost of them costs one wait."""
+        name = path.encode()
+        self._session = self._session % 255 + 1
+        crc, opened = self._replies(
+            path, self._make(CRC32, data=name), self._make(OPEN_READ, self._session, data=name)
+        )
+        crc_reply = _checked(crc, path)
+        if opened.error == NO_SESSION:
+            opened = self.open(OPEN_READ, path)
+        return int.from_bytes(crc_reply.data[:4], "little"), _checked(opened, path)
+
+    def _fetch(
+        self, path: str, opened: FtpReply, part: PartFile, progress: Progress | None
+    ) -> bool:
         """Whether all of it came; not when the file became another one meanwhile."""
-        with Download(self, path) as download:
+        with Download(self, path, opened) as download:
             part.begin(download.size)
             try:
                 download.fetch(part.data, 0, progress, part.append)
@@ -269,25 +282,48 @@ class FtpClient:
         data: bytes = b"",
         size: int | None = None,
     ) -> FtpReply:
-        self._seq = (self._seq + 1) & 0xFFFF
-        request = FtpRequest(self._seq, session, opcode, offset, data, size)
-        expected = (self._seq + 1) & 0xFFFF
+        (reply,) = self._replies(path, self._make(opcode, session, offset, data, size))
+        return _checked(reply, path)
+
+    def _make(
+        self,
+        opcode: int,
+        session: int = 0,
+        offset: int = 0,
+        data: bytes = b"",
+        size: int | None = None,
+    ) -> FtpRequest:
+        """A request under a number of its own; the next one is that of its answer."""
+        self._seq = (self._seq + 2) & 0xFFFF
+        return FtpRequest(self._seq, session, opcode, offset, data, size)
+
+    def _replies(self, path: str, *requests: FtpRequest) -> list[FtpReply]:
+        """The answers to all of them, refusals too; each is repeated until answered."""
+        waiting = {((one.seq + 1) & 0xFFFF, one.opcode): one for one in requests}
+        found: dict[FtpRequest, FtpReply] = {}
 
         def fits(message: Message) -> bool:
             answer = parse(message)
-            return is_for_us(message) and (answer.seq, answer.request) == (expected, opcode)
+            return is_for_us(message) and (answer.seq, answer.request) in waiting
 
         self.link.flush()
-        first_s = max(self.round_trip.patience_s(1), _LEAST_S)
+        first_s = max(self.link.round_trip.patience_s(1), _LEAST_S)
         for attempt, patience_s in enumerate(self.link.attempts(_TRIES, first_s)):
             self._repeated = attempt > 0
             sent_s = self.link.transport.now_s()
-            self.link.send(request.message())
-            answer = self.link.recv("FILE_TRANSFER_PROTOCOL", patience_s, fits)
-            if answer is not None:
-                self.round_trip.heard(self.link.transport.now_s() - sent_s, attempt + 1)
-                self._seq = expected
-                return _checked(parse(answer), path)
+            for one in waiting.values():
+                self.link.send(one.message())
+            due_s = sent_s + patience_s
+            while waiting:
+                left_s = due_s - self.link.transport.now_s()
+                answer = self.link.recv("FILE_TRANSFER_PROTOCOL", left_s, fits)
+                if answer is None:
+                    break
+                reply = parse(answer)
+                found[waiting.pop((reply.seq, reply.request))] = reply
+                self.link.round_trip.heard(self.link.transport.now_s() - sent_s, attempt + 1)
+            if not waiting:
+                return [found[one] for one in requests]
         raise AssertionError("attempts always raises at its end")
 
 

@@ -39,7 +39,6 @@ from tailbeat.link.ftp.wire import (
     FtpReply,
     Progress,
     RequestWindow,
-    RoundTrip,
     StallTimer,
     is_for_us,
     parse,
@@ -66,7 +65,6 @@ class Requests(Protocol):
     """What a download needs of the client."""
 
     link: Link
-    round_trip: RoundTrip
 
     def open(self, opcode: int, path: str) -> FtpReply:
         """A session for a file. Raises FtpError."""
@@ -78,12 +76,13 @@ class Requests(Protocol):
 class Download:
     """An open file on the board."""
 
-    def __init__(self, client: Requests, path: str) -> None:
+    def __init__(self, client: Requests, path: str, opened: FtpReply | None = None) -> None:
+        """``opened``: the answer to a request that has opened it already."""
         self._client = client
         self._link = client.link
         self._path = path
         self.size = -1
-        self._open()
+        self._opened(opened or client.open(OPEN_READ, path))
 
     def __enter__(self) -> Download:
         return self
@@ -122,7 +121,7 @@ class Download:
 
     def _begin(self, pieces: _Pieces) -> None:
         self._pieces = pieces
-        self._window = RequestWindow(self._link, self._client.round_trip)
+        self._window = RequestWindow(self._link)
         self._size = DATA_BYTES
         self._arrived = 0
         self._judged_from = pieces.frontier
@@ -131,8 +130,7 @@ class Download:
         self._burst_tries = 0
         self._burst_due_s = 0.0
 
-    def _open(self) -> None:
-        reply = self._client.open(OPEN_READ, self._path)
+    def _opened(self, reply: FtpReply) -> None:
         size = int.from_bytes(reply.data[:4], "little")
         if self.size not in (-1, size):
             raise FileChangedError(f"{self._path} changed while it was read", "Pull it again.")
@@ -167,7 +165,7 @@ class Download:
         self._expect_burst(0.0)
 
     def _expect_burst(self, least_s: float) -> None:
-        patience_s = max(self._client.round_trip.patience_s(self._burst_tries), least_s)
+        patience_s = max(self._link.round_trip.patience_s(self._burst_tries), least_s)
         self._burst_due_s = self._link.transport.now_s() + self._link.patient(patience_s)
 
     def _ask_read(self, offset: int, length: int, streams: bool) -> None:
@@ -236,7 +234,8 @@ class Download:
             return
         if reply.error not in (INVALID_SESSION, NO_SESSION):
             raise FtpError(reply.error, self._path)
-        self._open()  # the board has restarted, or ended a session that was silent too long
+        # the board has restarted, or ended a session that was silent too long
+        self._opened(self._client.open(OPEN_READ, self._path))
         self._window.forget()
         self._burst_begin = self._burst_end = self._pieces.frontier
 

@@ -17,36 +17,8 @@ from tailbeat.link.mavlink import (
     Message,
 )
 
-_FIRST_S, _LEAST_S, _MOST_S = 0.5, 0.08, 2.0
-_BACKOFF = 1.5
 _STALLED_S = 25.0  # without anything new: some fifteen rounds
 _DEAD_S = 12.0  # without a word from the board
-
-
-class RoundTrip:
-    """How long an answer takes on this link: mean and spread, as TCP keeps them."""
-
-    def __init__(self) -> None:
-        self._mean_s = -1.0
-        self._spread_s = 0.0
-
-    def heard(self, took_s: float, tries: int = 1) -> None:
-        """An answer came so long after the last of so many ``tries``; which of them it answers is
-        not known, so that more than one tells something only as long as nothing is known."""
-        if self._mean_s < 0:
-            self._mean_s, self._spread_s = took_s, took_s / 2
-        if tries > 1:
-            return
-        self._spread_s += (abs(took_s - self._mean_s) - self._spread_s) / 4
-        self._mean_s += (took_s - self._mean_s) / 8
-
-    def patience_s(self, tries: int) -> float:
-        """How long to wait for the answer to the last of so many ``tries``."""
-        wait_s = self._mean_s + 4 * self._spread_s if self._mean_s >= 0 else _FIRST_S
-        wait_s = max(wait_s, _LEAST_S)
-        for _ in range(1, tries):
-            wait_s = min(wait_s * _BACKOFF, max(wait_s, _MOST_S))
-        return wait_s
 
 
 @dataclass
@@ -64,9 +36,9 @@ class RequestWindow:
     """Requests under way, by file offset. The line keeps the order of what passes: an answer to a
     later request means that those before it are lost."""
 
-    def __init__(self, link: Link, round_trip: RoundTrip) -> None:
+    def __init__(self, link: Link) -> None:
         self._link = link
-        self._round_trip = round_trip
+        self._round_trip = link.round_trip
         self._asked: dict[int, Asked] = {}
         self._order = 0
 
