@@ -298,10 +298,12 @@ class Link:
 
         self.begin()
         for attempt, patience_s in enumerate(self.attempts(tries)):
+            sent_s = self.transport.now_s()
             self.send(self._command_long(command, values, attempt))
             message = self.recv((kind, "COMMAND_ACK"), patience_s, fits)
             if message is None:
                 continue
+            self.round_trip.heard(self.transport.now_s() - sent_s, attempt + 1)
             if message.get_type() == "COMMAND_ACK":
                 self._turned_down(message)
                 continue

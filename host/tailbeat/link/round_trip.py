@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-_FIRST_S, _LEAST_S, _MOST_S = 0.5, 0.08, 2.0
+_FIRST_S, _LEAST_S, _MOST_S = 0.25, 0.08, 2.0
 _BACKOFF = 1.5
+_PATIENT_FROM = 3  # tries; two that are lost say little about the line
 
 
 class RoundTrip:
@@ -27,6 +28,6 @@ class RoundTrip:
         """How long to wait for the answer to the last of so many ``tries``."""
         wait_s = self._mean_s + 4 * self._spread_s if self._mean_s >= 0 else _FIRST_S
         wait_s = max(wait_s, _LEAST_S)
-        for _ in range(1, tries):
+        for _ in range(_PATIENT_FROM, tries):
             wait_s = min(wait_s * _BACKOFF, max(wait_s, _MOST_S))
         return wait_s

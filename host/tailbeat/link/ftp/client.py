@@ -307,13 +307,13 @@ class FtpClient:
             return is_for_us(message) and (answer.seq, answer.request) in waiting
 
         self.link.flush()
-        first_s = max(self.link.round_trip.patience_s(1), _LEAST_S)
-        for attempt, patience_s in enumerate(self.link.attempts(_TRIES, first_s)):
+        for attempt, _ in enumerate(self.link.attempts(_TRIES)):
             self._repeated = attempt > 0
+            patience_s = max(self.link.round_trip.patience_s(attempt + 1), _LEAST_S)
             sent_s = self.link.transport.now_s()
             for one in waiting.values():
                 self.link.send(one.message())
-            due_s = sent_s + patience_s
+            due_s = sent_s + self.link.patient(patience_s)
             while waiting:
                 left_s = due_s - self.link.transport.now_s()
                 answer = self.link.recv("FILE_TRANSFER_PROTOCOL", left_s, fits)

@@ -52,6 +52,8 @@ _READS_ALONE = 3  # under way otherwise: what the board's sender holds
 _READ_MIN_BYTES = 30
 _PAUSE_S = 0.5  # while a burst fills the line: to ask anew costs more than to wait so long
 _QUEUE_S = 0.2  # what the board's sender holds before an answer
+_PACKET_S = 0.025  # on the slowest line, 115200 baud
+_LAST_FEW = 2
 _END_PACKETS = 24  # before the end the line is about to be empty, and waiting costs
 _JUDGED_PACKETS = 24
 _LOSS_HIGH, _LOSS_LOW = 0.5, 0.3  # of the packets, where smaller or larger ones get more through
@@ -147,13 +149,28 @@ class Download:
             if self._burst_tries % 2 == 0:
                 self._size = max(self._size // 2, _READ_MIN_BYTES)
             self._ask_burst(frontier)
-        streams = frontier < self.size
-        most = _READS_MAX if streams else _READS_ALONE
+        if frontier < self.size:
+            self._ask_beside_burst()
+        else:
+            self._ask_last()
+
+    def _ask_beside_burst(self) -> None:
         for offset, length in self._pieces.missing(self._size):
-            if self._credit <= 0 or self._window.under_way() >= most:
+            if self._credit <= 0 or self._window.under_way() >= _READS_MAX:
                 return
             if not self._window.waits(offset):
-                self._ask_read(offset, length, streams)
+                ends = self.size - self._pieces.frontier < _END_PACKETS * self._size
+                self._ask_read(offset, length, _QUEUE_S if ends else _PAUSE_S)
+                self._credit -= 1
+
+    def _ask_last(self) -> None:
+        """The line is free. The last few are asked twice: that costs less than to wait in vain."""
+        missing = list(self._pieces.missing(self._size))
+        for offset, length in missing:
+            if self._credit <= 0 or self._window.under_way() >= _READS_ALONE:
+                return
+            if not self._window.waits(offset):
+                self._ask_read(offset, length, 0.0, twice=len(missing) <= _LAST_FEW)
 
     def _ask_burst(self, offset: int) -> None:
         """The next burst, or, when no packet of the last one came, that one again."""
@@ -168,15 +185,13 @@ class Download:
         patience_s = max(self._link.round_trip.patience_s(self._burst_tries), least_s)
         self._burst_due_s = self._link.transport.now_s() + self._link.patient(patience_s)
 
-    def _ask_read(self, offset: int, length: int, streams: bool) -> None:
+    def _ask_read(self, offset: int, length: int, least_s: float, twice: bool = False) -> None:
         """A frame of full length is the likeliest to be hit, so every second try halves it."""
         tries = self._window.tries(offset)
         length = min(length, max(DATA_BYTES >> tries // 2, _READ_MIN_BYTES))
-        ends = self.size - self._pieces.frontier < _END_PACKETS * self._size
-        self._window.say(offset, (_QUEUE_S if ends else _PAUSE_S) if streams else 0.0)
-        self._client.send(READ, self._session, offset, length)
-        if streams:
-            self._credit -= 1
+        self._window.say(offset, least_s)
+        for _ in range(1 + twice):
+            self._client.send(READ, self._session, offset, length)
 
     def _hear(self) -> FtpReply | None:
         """The next answer, at most until something is to be asked again."""
@@ -208,13 +223,22 @@ class Download:
         end = reply.offset + len(reply.data)
         self._credit = min(self._credit, 1)  # room for one answer beside the burst is kept
         self._burst_tries = 1
-        last = end > self.size - _LEAD_PACKETS * self._size or reply.complete
-        self._expect_burst(0.0 if last else _PAUSE_S)
+        self._expect_burst(self._pause_s(reply))
         self._arrived += 1
         self._pieces.pass_over(reply.offset)
         self._judge(end)
         if reply.complete and self._burst_begin < end < self._burst_end:
             self._burst_end = end
+
+    def _pause_s(self, reply: FtpReply) -> float:
+        """How long at least the next packet may take. Where a burst ends, the request for the next
+        one may have been lost; elsewhere the line stands still."""
+        end = reply.offset + len(reply.data)
+        stop = self._burst_begin if end <= self._burst_begin else self._burst_end
+        left = (stop - end) // self._size
+        if reply.complete or left < 0:
+            left = 0
+        return (left + 1) * _PACKET_S if left < _LEAD_PACKETS else _PAUSE_S
 
     def _judge(self, end: int) -> None:
         """Packets of a length that gets through."""
