@@ -1,8 +1,9 @@
 """How much of the radio's 11 520 bytes/s a pull uses, in virtual time, on good and bad lines.
 
-The file is the log of a trial of 200 beats. The time counts from the command to the verified file:
-CRC, open, data, end. Beside it goes what the board says anyway, telemetry at TLM_RATE_HZ as it is
-by default where the row says so, else off.
+The file is the log of a trial of 200 beats, read as ULog: the longest there is to say how full the
+line is. The time counts from the command to the verified file: CRC, open, data, end. Beside it goes
+what the board says anyway, telemetry at TLM_RATE_HZ as it is by default where the row says so, else
+off. Then the log of a trial of 40 beats as 'trial pull' fetches it, packed, in seconds.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from unittest import mock
 
 from tailbeat.board.fish import Fish
 from tailbeat.board.provision import set_key
-from tailbeat.core import records
+from tailbeat.core import records, reference
 from tailbeat.link.ftp.wire import DATA_BYTES
 from tailbeat.link.impaired import Corrupt, Drop, Fault, ImpairedLine, hc05
 from tailbeat.session.trial import run_trial
@@ -28,7 +29,8 @@ LINE_BYTES_PER_S = 11520
 PATH = "/trials/0001.ulg"
 FRAME_BYTES = 266
 SIGNATURE_BYTES = 13
-CLEAN_MIN, LOST_MIN = 0.89, 0.82
+CLEAN_MIN, LOST_MIN, MANY_LOST_MIN = 0.89, 0.82, 0.68
+TRIAL, TRIAL_BEATS = 1, 40
 
 
 @dataclass(frozen=True)
@@ -37,10 +39,12 @@ class Load:
 
     beats: int  # of the trial whose log is pulled
     seeds: int
+    pulls: int  # seeds of the pulls of a trial
     goals: bool  # a short log is not long enough for them
 
 
-FULL, TINY = Load(beats=200, seeds=6, goals=True), Load(beats=2, seeds=1, goals=False)
+FULL = Load(beats=200, seeds=6, pulls=16, goals=True)
+TINY = Load(beats=2, seeds=1, pulls=1, goals=False)
 
 Faults = Callable[[], Sequence[Fault]]
 
@@ -56,6 +60,9 @@ class Case:
     signed: bool = False
     telemetry: bool = False
     least: float = 0.0
+    within_s: float | None = (
+        None  # most that a trial of 40 beats may take, in the mean; None: no row
+    )
 
     @property
     def limit(self) -> float | None:
@@ -65,12 +72,12 @@ class Case:
 
 
 CASES = (
-    Case("clean", lambda: (), 1.0, least=CLEAN_MIN),
+    Case("clean", lambda: (), 1.0, least=CLEAN_MIN, within_s=0.95),
     Case("clean, default telemetry", lambda: (), 1.0, telemetry=True),
     Case("clean, signed", lambda: (), 1.0, signed=True),
-    Case("5 % of the frames lost", lambda: (Drop(0.05),), 0.95, least=LOST_MIN),
+    Case("5 % of the frames lost", lambda: (Drop(0.05),), 0.95, least=LOST_MIN, within_s=1.05),
     Case("5 % lost, signed", lambda: (Drop(0.05),), 0.95, signed=True),
-    Case("20 % of the frames lost", lambda: (Drop(0.2),), 0.8),
+    Case("20 % of the frames lost", lambda: (Drop(0.2),), 0.8, least=MANY_LOST_MIN, within_s=1.4),
     Case("one byte in 1000 wrong", lambda: (Corrupt(1e-3),), (1 - 1e-3) ** FRAME_BYTES),
     Case("one byte in 100 wrong", lambda: (Corrupt(1e-2),), None),
     Case("the delay of an HC-05", lambda: (hc05(),), 1.0),
@@ -84,6 +91,18 @@ def flash_with_log(beats: int) -> bytes:
         fish.params.set("TANK_LEN_M", 0)
         fish.params.save()
         fish.upload_reference(records.encode_reference(1.0, [0.03] * beats))
+        run_trial(fish)
+        fish.discard()
+        assert fish.sim is not None
+        return fish.sim.flash
+
+
+def flash_with_trial(beats: int) -> bytes:
+    """The storage of a fish that swam a trial along a trapezoid."""
+    with Fish.connect("sim:tank", seed=1) as fish:
+        fish.params.set("TANK_LEN_M", 0)
+        fish.params.save()
+        fish.upload_reference(reference.trapezoid(0.0791, beats / 4, beats / 2))
         run_trial(fish)
         fish.discard()
         assert fish.sim is not None
@@ -116,6 +135,17 @@ def pull(case: Case, flash: bytes, seed: int) -> float:
         return (Path(folder) / "file").stat().st_size / took_s
 
 
+def pull_trial(case: Case, flash: bytes, seed: int) -> tuple[float, int, int]:
+    """Seconds until the trial's ULog is there, its bytes, and those of the stored log."""
+    line = ImpairedLine(SimTransport(board_for(case, flash)), case.faults(), case.faults(), seed)
+    with Fish(line) as fish, tempfile.TemporaryDirectory() as folder:
+        fish.link.run(2.0)
+        totals: list[int] = []
+        begin_s = fish.transport.now_s()
+        path = fish.pull_trial(TRIAL, Path(folder), lambda _, total: totals.append(total))
+        return fish.transport.now_s() - begin_s, path.stat().st_size, totals[-1]
+
+
 def measure(case: Case, flash: bytes, load: Load) -> bool:
     """Prints the case's row; whether the mean is enough."""
     shares = [pull(case, flash, seed) / LINE_BYTES_PER_S for seed in range(1, load.seeds + 1)]
@@ -125,6 +155,37 @@ def measure(case: Case, flash: bytes, load: Load) -> bool:
     verdict = f"  too little: must be {case.least}" if short else ""
     print(f"  {case.name:28} {mean:6.3f} {worst:6.3f} {limit:>6}{verdict}")
     return not short
+
+
+def measure_pull(case: Case, flash: bytes, load: Load) -> bool:
+    """Prints the row of a trial's pull; whether it is quick enough."""
+    assert case.within_s is not None and case.limit is not None
+    pulls = [pull_trial(case, flash, seed) for seed in range(1, load.pulls + 1)]
+    mean_s, worst_s = statistics.mean(p[0] for p in pulls), max(p[0] for p in pulls)
+    limit_s = pulls[0][2] / (case.limit * LINE_BYTES_PER_S)
+    late = load.goals and mean_s > case.within_s
+    verdict = "  too long" if late else ""
+    print(
+        f"  {case.name:28} {mean_s:6.2f} {worst_s:6.2f} {case.within_s:6.2f} {limit_s:6.2f}"
+        f" {mean_s / limit_s:6.2f}{verdict}"
+    )
+    return not late
+
+
+def measure_pulls(load: Load) -> bool:
+    """Prints all rows of a trial's pull; whether all are quick enough."""
+    flash = flash_with_trial(TRIAL_BEATS if load.goals else load.beats)
+    _, ulog_bytes, stored_bytes = pull_trial(CASES[0], flash, 1)
+    ratio = ulog_bytes / stored_bytes
+    print(
+        f"seconds to pull a trial's log: {ulog_bytes} bytes of ULog, {stored_bytes} packed", end=""
+    )
+    print(f" ({ratio:.2f} to 1)")
+    print(
+        f"  {'line, both ways':28} {'mean':>6} {'worst':>6} {'goal':>6} {'limit':>6} {'ratio':>6}"
+    )
+    quick = [measure_pull(case, flash, load) for case in CASES if case.within_s is not None]
+    return all(quick)
 
 
 @contextmanager
@@ -146,7 +207,7 @@ def measure_all(load: Load) -> bool:
     print("telemetry rests while a burst runs. TLM_RATE_HZ is 0, or where said its default")
     print(f"  {'line, both ways':28} {'mean':>6} {'worst':>6} {'limit':>6}  ({load.seeds} seeds)")
     enough = [measure(case, flash, load) for case in CASES]
-    return all(enough)
+    return all([*enough, measure_pulls(load)])
 
 
 def main(load: Load = FULL) -> int:

@@ -134,6 +134,26 @@ def imu_seeds() -> list[bytes]:
     return [b"\0" + b"".join(bytes([IMU_RAW]) + p + bytes([IMU_PASSES]) for p in pieces)]
 
 
+def packed_seeds() -> list[bytes]:
+    """The stored log of a short trial, as it is and as messages to be packed."""
+    from tailbeat.board.fish import Fish
+    from tailbeat.core import reference
+
+    with Fish.connect("sim:tank", seed=3) as fish:
+        fish.upload_reference(reference.trapezoid(0.06, 1, 1))
+        run_trial(fish)
+        stored, ulog = (fish.ftp.read(f"/trials/0001.{kind}") for kind in ("ulz", "ulg"))
+    messages, at = [ulog[:16]], 16
+    while at < len(ulog):
+        end = at + 3 + int.from_bytes(ulog[at : at + 2], "little")
+        messages.append(ulog[at:end])
+        at = end
+    steps = [bytes([len(one) - 1]) + one for one in messages]
+    return [b"\0" + stored[8:2000]] + [
+        b"\1" + b"".join(steps[i : i + 20]) for i in range(0, len(steps), 20)
+    ]
+
+
 def main(arguments: list[str]) -> int:
     what, *rest = arguments
     if what == "unpack":
@@ -146,6 +166,7 @@ def main(arguments: list[str]) -> int:
         write_pack(pack, [*unpacked(pack), Path(rest[1]).read_bytes()])
     elif what == "seeds":
         made = {"link": link_seeds(), "records": record_seeds(), "imu": imu_seeds()}
+        made["packed"] = packed_seeds()
         for target, inputs in made.items():
             put(Path(rest[0]) / target, inputs)
     else:

@@ -16,6 +16,7 @@
 #include "link/ftp_server.h"
 #include "mock_hal.h"
 #include "store/bytes.h"
+#include "store/packer.h"
 
 #define STEPS_MAX 200u
 #define BURST_MAX 20u
@@ -87,11 +88,31 @@ static void put(const char *path, size_t length, const char *content) {
     MUST(store_replace(&store, path, bytes, length) == STORE_OK);
 }
 
+/* A packed one, of several groups of pieces. */
+static void put_log(const char *path) {
+    static uint8_t bytes[5000];
+    uint8_t piece[PACKER_PIECE_BYTES], message[60];
+    packer_t packer;
+    size_t length = PACKED_HEADER_BYTES;
+    packer_file_header(bytes, 2);
+    packer_begin(&packer, piece);
+    for (size_t i = 0; i < 60u; i++) {
+        memset(message, (int)i, sizeof message);
+        if (!packer_fits(&packer, sizeof message)) {
+            const size_t piece_bytes = packer_end_piece(&packer);
+            memcpy(bytes + length, piece, piece_bytes);
+            length += piece_bytes;
+        }
+        (void)packer_put(&packer, message, sizeof message);
+    }
+    MUST(store_replace(&store, path, bytes, length) == STORE_OK);
+}
+
 static void prepare(void) {
     mock_hal_init(&hal);
     MUST(store_mount(&store, &hal) == STORE_OK);
     put("/trials/0001.ulg", 5000, NULL);
-    put("/trials/0002.ulg", 300, NULL);
+    put_log("/trials/0002.ulg");
     put("/trials/0003.ulg", 1, NULL);
     put("/in/speeds.bin", 700, NULL);
     put("/reference.bin", 130, NULL);
@@ -221,7 +242,7 @@ static uint8_t put_path(input_t *in, uint8_t choice) {
                                         "/crash.bin",
                                         "/in/../key.bin",
                                         "/trials/../key.bin",
-                                        "trials/0004.ulg"};
+                                        "trials/0002.ulz"};
     const char *path = paths[choice % 16u];
     size_t length = strlen(path);
     memcpy(request + FTP_HEADER_BYTES, path, length);
