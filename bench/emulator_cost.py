@@ -153,7 +153,7 @@ class Meter:
             finally:
                 self.board_s += time.process_time() - begin_s
 
-        board.run = timed  # type: ignore[method-assign]
+        board.run = timed  # type: ignore[assignment,method-assign]
 
 
 def measure(fish: Fish, work: Callable[[Fish, float], None], load: Load) -> Cost:

@@ -46,7 +46,19 @@ int64_t vb_pwm_high_counts(const vb_pwm_t *pwm, int channel, bool high);
 
 bool vb_pwm_running(const vb_pwm_t *pwm, int channel);
 
+/* The registers, in pwm_registers.c. VB_UNKNOWN: there is none to be accessed like that. */
 vb_access_t vb_pwm_read(vb_pwm_t *pwm, uint32_t offset, uint32_t *value);
 vb_access_t vb_pwm_write(vb_pwm_t *pwm, uint32_t offset, uint32_t value);
+
+/* Between the two files. */
+
+/* Starts a channel with a whole period, unless it runs; false after a failure. */
+bool vb_pwm_start(vb_channel_t *channel);
+
+/* Drives the interrupt. */
+void vb_pwm_drive(vb_pwm_t *pwm);
+
+/* Something may move an output at another time than waveform() told. */
+void vb_pwm_tell(const vb_pwm_t *pwm);
 
 #endif

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from ctypes import c_void_p
 from typing import Any
 
 import unicorn
@@ -20,6 +21,7 @@ from vboard.core.cpu import (
     ReadCallback,
     WriteCallback,
 )
+from vboard.core.engine import UcError
 from vboard.core.engine import library as engine_library
 from vboard.core.exceptions import Exceptions
 from vboard.core.mpu import Mpu
@@ -31,7 +33,6 @@ from vboard.native.library import (
     Engine,
     State,
     address_of,
-    c_void_p,
     running,
 )
 
@@ -118,7 +119,7 @@ class _NativeCpu(Cpu):
             self._core.handle,
         )
         if status != unicorn.UC_ERR_OK:
-            raise unicorn.UcError(status)
+            raise UcError(status)
 
     def _add_hooks(self) -> None:
         for kind, name in (
@@ -207,7 +208,7 @@ class _NativeBus(Bus):
         super().__init__(clock)
 
     @property
-    def trace(self) -> list[Access] | None:  # type: ignore[override]
+    def trace(self) -> list[Access] | None:
         """Accesses are collected here."""
         return self._trace
 

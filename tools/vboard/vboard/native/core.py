@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from ctypes import c_uint32
 from typing import Any
 
 from vboard.core.memory import Buffer
@@ -14,7 +15,6 @@ from vboard.native.library import (
     Engine,
     State,
     WatchdogFields,
-    c_uint32,
     handle_of,
     library,
 )
@@ -56,10 +56,10 @@ class Core:
             "pwm_changed": lambda: self.pwm_changed(),
         }
         table = Calls()
-        for name, kind in Calls._fields_:
+        for name, kind, *_ in Calls._fields_:
             function = {**own, **calls}.get(name)
             if function is not None:
-                setattr(table, name, kind(self.time.guard(function, 0)))  # type: ignore[call-arg]
+                setattr(table, name, kind(self.time.guard(function, 0)))
         return table
 
     def connect(self, engine: Engine) -> None:

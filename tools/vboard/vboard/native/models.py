@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from ctypes import c_int64
 from functools import partial
 from typing import Any, Protocol, cast
 
 from vboard.core.bus import Peripheral, Reg, Soc
 from vboard.native.core import Core
-from vboard.native.library import NEVER, c_int64, library
+from vboard.native.library import NEVER, library
 from vboard.native.line import NativeSerialLine
 from vboard.periph.models import Models
 from vboard.periph.pwm import PeriodListener, Pwm
@@ -38,23 +39,23 @@ class _Native(Peripheral):
     def _bind(self, reg: Reg, index: int) -> None:
         offset, key = reg.offset + index * reg.stride, _key(reg, index)
         if "r" in reg.access:
-            self._readers[offset] = (key, partial(self._load, offset))
+            self._readers[offset] = (key, partial(self._read_native, offset))
         if "w" in reg.access:
-            self._writers[offset] = (key, partial(self._store, offset))
+            self._writers[offset] = (key, partial(self._write_native, offset))
         if reg.count == 1:
-            setattr(self, f"read_{reg.name.lower()}", partial(self._load, offset))
-            setattr(self, f"write_{reg.name.lower()}", partial(self._store, offset))
+            setattr(self, f"read_{reg.name.lower()}", partial(self._read_native, offset))
+            setattr(self, f"write_{reg.name.lower()}", partial(self._write_native, offset))
 
     def write(self, offset: int, value: int) -> str:
         """Register name. Raises BusViolation."""
         return Peripheral.write(self, offset, value)
 
-    def _load(self, offset: int) -> int:
+    def _read_native(self, offset: int) -> int:
         value = self.core.read(self.base + offset)
         assert value is not None, f"{self.name} +0x{offset:x} is no register in C"
         return value
 
-    def _store(self, offset: int, value: int) -> None:
+    def _write_native(self, offset: int, value: int) -> None:
         known = self.core.write(self.base + offset, value)
         assert known, f"{self.name} +0x{offset:x} is no register in C"
 
@@ -158,16 +159,16 @@ class NativeWdt(_Native, Wdt):
         slow.before_change.append(self._hold)
         slow.after_change.append(self._changed)
 
-    @property
-    def fed(self) -> int:
-        """How often it was fed."""
+    def _fed_so_far(self) -> int:
         return int(self._shared.fed)
 
-    @property
-    def shortest_left_s(self) -> float | None:
-        """The least time it had left when it was fed."""
+    def _shortest_left(self) -> float | None:
         left = float(self._shared.shortest_left_s)
         return None if left < 0 else left
+
+    # The reference has attributes.
+    fed: Any = property(_fed_so_far)
+    shortest_left_s: Any = property(_shortest_left)
 
     def reset(self) -> None:
         """Runs from the reset on, with the longest time."""
