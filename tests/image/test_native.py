@@ -10,6 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import TailbeatError
