@@ -1,5 +1,7 @@
 #include "ilc/law.h"
 
+#include "ilc/number_order.h"
+
 #include <stddef.h>
 
 number_t law_saturate(const law_t *law, number_t amplitude_rad) {
@@ -38,36 +40,31 @@ static number_t error_at(const law_trial_t *trial, uint32_t beat) {
     return is_measured(trial, beat) ? trial->error_m_s[beat] : NUMBER(0);
 }
 
-static bool inputs_finite(const law_trial_t *trial, const number_t *amplitude_rad) {
+/* False when an amplitude or a measured error is not finite. */
+static bool look(const law_t *law, const law_trial_t *trial, const number_t *amplitude_rad,
+                 law_report_t *report) {
     bool finite = true;
+    number_t sum = NUMBER(0);
+    *report = (law_report_t){0};
     for (uint32_t k = 0; k < trial->beats; k++) {
-        finite =
-            finite && number_is_finite(amplitude_rad[k]) && number_is_finite(error_at(trial, k));
+        finite = finite && number_is_finite(amplitude_rad[k]);
+        report->saturated_beats =
+            (uint16_t)(report->saturated_beats +
+                       (number_order(amplitude_rad[k]) > number_order(law->amplitude_max_rad)));
+        if (is_measured(trial, k)) {
+            const number_t error = number_abs(trial->error_m_s[k]);
+            finite = finite && number_is_finite(error);
+            sum += error * error;
+            report->measured_beats++;
+            if (number_order(error) > number_order(report->max_abs_error_m_s)) {
+                report->max_abs_error_m_s = error;
+            }
+        }
+    }
+    if (report->measured_beats > 0) {
+        report->rms_error_m_s = number_sqrt(sum / (number_t)report->measured_beats);
     }
     return finite;
-}
-
-static law_report_t judged(const law_t *law, const law_trial_t *trial,
-                           const number_t *amplitude_rad) {
-    law_report_t report = {0};
-    number_t sum = NUMBER(0);
-    for (uint32_t k = 0; k < trial->beats; k++) {
-        const number_t error = number_abs(error_at(trial, k));
-        sum += error * error;
-        if (error > report.max_abs_error_m_s) {
-            report.max_abs_error_m_s = error;
-        }
-        if (is_measured(trial, k)) {
-            report.measured_beats++;
-        }
-        if (amplitude_rad[k] > law->amplitude_max_rad) {
-            report.saturated_beats++;
-        }
-    }
-    if (report.measured_beats > 0) {
-        report.rms_error_m_s = number_sqrt(sum / (number_t)report.measured_beats);
-    }
-    return report;
 }
 
 static const law_weights_t WHOLE = {NUMBER(1), NUMBER(1), NUMBER(1)};
@@ -86,10 +83,10 @@ law_result_t law_judge(const law_t *law, const law_trial_t *trial, const number_
     if (config != LAW_OK) {
         return config;
     }
-    if (!inputs_finite(trial, amplitude_rad)) {
+    law_report_t found;
+    if (!look(law, trial, amplitude_rad, &found)) {
         return LAW_BAD_INPUT;
     }
-    const law_report_t found = judged(law, trial, amplitude_rad);
     if (found.measured_beats == 0) {
         return LAW_NOTHING_MEASURED;
     }
@@ -115,19 +112,20 @@ static number_t difference_at(const law_trial_t *trial, uint32_t beat) {
     return known ? trial->error_m_s[from + 1u] - trial->error_m_s[from] : NUMBER(0);
 }
 
-/* The two beats whose mean corrects a beat; one and the same where no half is involved. */
-typedef struct {
-    uint32_t first, second;
-} pair_t;
-
-/* False when |beat| is the tail's, and that does not look at errors. */
-static bool pair_ahead(const law_t *law, uint32_t beats, uint32_t beat, pair_t *pair) {
+/* Where the error is that corrects |beat|, in half beats: the mean of two neighbours where it lies
+ * between them. NOWHERE when the beat is the tail's, and that does not look at errors. |halves|:
+ * the lead's. */
+#define NOWHERE UINT32_MAX
+static uint32_t place_ahead(const law_t *law, uint32_t halves, uint32_t beats, uint32_t beat) {
     const uint32_t last = 2u * (beats - 1u);
-    const uint32_t ahead = 2u * beat + lead_halves(law);
-    const uint32_t at = ahead > last ? last : ahead;
-    *pair = (pair_t){at / 2u, (at + 1u) / 2u};
-    return ahead <= last || law->tail == LAW_TAIL_HOLD;
+    const uint32_t ahead = 2u * beat + halves;
+    if (ahead <= last) {
+        return ahead;
+    }
+    return law->tail == LAW_TAIL_HOLD ? last : NOWHERE;
 }
+
+static bool is_between(uint32_t place) { return place % 2u != 0; }
 
 /* Beats at the end that a tail other than LAW_TAIL_HOLD fills. */
 static uint32_t tail_beats(const law_t *law) { return (lead_halves(law) + 1u) / 2u; }
@@ -141,9 +139,10 @@ static uint32_t held_from(const law_t *law, uint32_t beats, uint32_t beat) {
 }
 
 bool law_corrects(const law_t *law, const law_trial_t *trial, uint32_t beat) {
-    pair_t pair;
-    return pair_ahead(law, trial->beats, held_from(law, trial->beats, beat), &pair) &&
-           (is_measured(trial, pair.first) || is_measured(trial, pair.second));
+    const uint32_t from = held_from(law, trial->beats, beat);
+    const uint32_t place = place_ahead(law, lead_halves(law), trial->beats, from);
+    return place != NOWHERE &&
+           (is_measured(trial, place / 2u) || is_measured(trial, (place + 1u) / 2u));
 }
 
 uint16_t law_kept_from(const law_t *law, uint16_t beats) {
@@ -152,43 +151,76 @@ uint16_t law_kept_from(const law_t *law, uint16_t beats) {
     return keeps ? (uint16_t)(beats - (tail < beats ? tail : beats)) : beats;
 }
 
-static number_t error_of(const law_trial_t *trial, pair_t pair) {
-    if (pair.first == pair.second) {
-        return error_at(trial, pair.first);
+static number_t error_of(const law_trial_t *trial, uint32_t place) {
+    const uint32_t beat = place / 2u;
+    const number_t first = error_at(trial, beat);
+    if (!is_between(place)) {
+        return first;
     }
-    const bool both = is_measured(trial, pair.first) && is_measured(trial, pair.second);
-    const number_t sum = error_at(trial, pair.first) + error_at(trial, pair.second);
+    const number_t sum = first + error_at(trial, beat + 1u);
+    const bool both = is_measured(trial, beat) && is_measured(trial, beat + 1u);
     return both ? NUMBER(0.5) * sum : sum;
 }
 
-static number_t difference_of(const law_trial_t *trial, pair_t pair) {
-    const number_t first = difference_at(trial, pair.first);
-    return pair.first == pair.second ? first
-                                     : NUMBER(0.5) * (first + difference_at(trial, pair.second));
+static number_t difference_of(const law_trial_t *trial, uint32_t place) {
+    const number_t first = difference_at(trial, place / 2u);
+    return is_between(place) ? NUMBER(0.5) * (first + difference_at(trial, place / 2u + 1u))
+                             : first;
 }
 
-/* What the gain of |beat| is divided by. */
-static number_t fade_of(const law_t *law, const law_trial_t *trial, uint32_t beat) {
+/* Visits of |beat| that its gain fades with. */
+static uint32_t visits_beyond(const law_t *law, const law_trial_t *trial, uint32_t beat) {
     const uint32_t visits = trial->visits != NULL ? trial->visits[beat] : 0u;
-    const uint32_t beyond = visits > law->fade_from ? visits - law->fade_from : 0u;
-    return NUMBER(1) + law->fade * (number_t)beyond;
+    return visits > law->fade_from ? visits - law->fade_from : 0u;
 }
 
-static void accumulate(const law_t *law, const law_weights_t *weights, const law_trial_t *trial,
-                       const number_t *amplitude_rad, number_t *sum) {
+/* What a trial's errors and differences count, and what remains of it after some |visits|: divided
+ * anew only where these change from beat to beat. */
+typedef struct {
+    number_t kp, kd_per_beat;
+    number_t faded_kp, faded_kd_per_beat;
+    uint32_t visits;
+} gains_t;
+
+static gains_t gains_of(const law_t *law, const law_weights_t *weights) {
     const number_t kp = weights->kp * law->kp_rad_s_m;
     const number_t kd_per_beat = weights->kd * (law->kd_rad_s2_m / law->beat_s);
+    return (gains_t){kp, kd_per_beat, kp, kd_per_beat, 0u};
+}
+
+static void fade(gains_t *gains, const law_t *law, uint32_t visits) {
+    if (gains->visits != visits) {
+        const number_t by = NUMBER(1) + law->fade * (number_t)visits;
+        gains->faded_kp = gains->kp / by;
+        gains->faded_kd_per_beat = gains->kd_per_beat / by;
+        gains->visits = visits;
+    }
+}
+
+/* Leaves out what changes no bit: a factor of 1, an addition of 0 (a sum that begins with zeros is
+ * never -0). |first|: |sum| is to begin with zeros. */
+static void accumulate(const law_t *law, const law_weights_t *weights, const law_trial_t *trial,
+                       const number_t *amplitude_rad, bool first, number_t *sum) {
+    const uint32_t halves = lead_halves(law);
+    const bool whole = number_is_one(weights->input);
+    gains_t gains = gains_of(law, weights);
+    const bool derivative = !number_is_zero(gains.kd_per_beat);
     for (uint32_t k = 0; k < trial->beats; k++) {
-        const number_t old = weights->input * law_saturate(law, amplitude_rad[k]);
-        pair_t pair;
-        if (!pair_ahead(law, trial->beats, k, &pair)) {
-            sum[k] += old;
-            continue;
+        const number_t saturated = law_saturate(law, amplitude_rad[k]);
+        number_t next = whole ? saturated : weights->input * saturated;
+        const uint32_t place = place_ahead(law, halves, trial->beats, k);
+        if (place != NOWHERE) {
+            fade(&gains, law, visits_beyond(law, trial, k));
+            const number_t proportional = gains.faded_kp * error_of(trial, place);
+            next += derivative
+                        ? proportional + gains.faded_kd_per_beat * difference_of(trial, place)
+                        : proportional;
         }
-        const number_t fade = fade_of(law, trial, k);
-        const number_t proportional = kp / fade * error_of(trial, pair);
-        const number_t derivative = kd_per_beat / fade * difference_of(trial, pair);
-        sum[k] += old + (proportional + derivative);
+        if (!first) {
+            sum[k] += next;
+        } else {
+            sum[k] = number_is_zero(next) ? NUMBER(0) : next;
+        }
     }
 }
 
@@ -236,9 +268,6 @@ static void hold_tail(const law_t *law, uint32_t beats, const number_t *amplitud
 }
 
 static number_t step_limited(const law_t *law, number_t old_rad, number_t next_rad) {
-    if (law->step_max_rad <= NUMBER(0)) {
-        return next_rad;
-    }
     const number_t swum_rad = law_saturate(law, old_rad);
     return number_clip(next_rad, swum_rad - law->step_max_rad, swum_rad + law->step_max_rad);
 }
@@ -259,22 +288,23 @@ law_result_t law_add(const law_t *law, const law_weights_t *weights, const law_t
     if (law_check(law, trial->beats) != LAW_OK) {
         return LAW_BAD_CONFIG;
     }
-    const law_report_t found = judged(law, trial, amplitude_rad);
-    if (!inputs_finite(trial, amplitude_rad) ||
+    law_report_t found;
+    if (!look(law, trial, amplitude_rad, &found) ||
         !input_bounded(law, weights, trial->beats, amplitude_rad) ||
         !number_is_finite(found.rms_error_m_s) ||
         !correction_bounded(law, weights, found.max_abs_error_m_s)) {
         return LAW_BAD_INPUT;
     }
-    accumulate(law, weights, trial, amplitude_rad, sum);
+    accumulate(law, weights, trial, amplitude_rad, false, sum);
     return LAW_OK;
 }
 
 void law_finish(const law_t *law, uint16_t beats, number_t *sum, number_t *amplitude_rad) {
+    const bool filtered = law->q_len != 1u, limited = law->step_max_rad > NUMBER(0);
     hold_tail(law, beats, amplitude_rad, sum);
     for (uint32_t k = 0; k < beats; k++) {
-        const number_t filtered = zero_phase_at(sum, beats, k, law->q_len);
-        amplitude_rad[k] = step_limited(law, amplitude_rad[k], filtered);
+        const number_t next = filtered ? zero_phase_at(sum, beats, k, law->q_len) : sum[k];
+        amplitude_rad[k] = limited ? step_limited(law, amplitude_rad[k], next) : next;
     }
 }
 
@@ -284,10 +314,7 @@ law_result_t law_update(const law_t *law, const law_trial_t *trial, number_t *am
     if (result != LAW_OK) {
         return result;
     }
-    for (uint32_t k = 0; k < trial->beats; k++) {
-        scratch[k] = NUMBER(0);
-    }
-    accumulate(law, &WHOLE, trial, amplitude_rad, scratch);
+    accumulate(law, &WHOLE, trial, amplitude_rad, true, scratch);
     law_finish(law, trial->beats, scratch, amplitude_rad);
     return LAW_OK;
 }

@@ -1,5 +1,7 @@
 #include "ilc/number.h"
 
+#include "ilc/number_order.h"
+
 #ifdef ILC_DOUBLE
 #include <math.h>
 
@@ -17,8 +19,8 @@ number_t number_sqrt(number_t x) { return real_sqrt(x); }
 #endif
 
 number_t number_clip(number_t x, number_t low, number_t high) {
-    if (x < low) {
-        return low;
+    if (number_order(x) > number_order(high)) {
+        return number_is_nan(x) ? x : high;
     }
-    return x > high ? high : x;
+    return number_order(x) < number_order(low) && !number_is_nan(x) ? low : x;
 }

@@ -25,7 +25,7 @@ bool number_is_finite(number_t x);
 
 number_t number_abs(number_t x);
 
-/* |x| clipped to [low, high]. NaN stays NaN. */
+/* |x| clipped to [low, high], neither of them NaN. NaN stays NaN. */
 number_t number_clip(number_t x, number_t low, number_t high);
 
 /* Square root; 0 for x <= 0. */
