@@ -30,19 +30,20 @@ LONGEST_S = 5.0
 
 @dataclass(frozen=True)
 class Stream:
-    """One kind of stream, and how much a byte of it may cost to find and check its messages."""
+    """One kind of stream, and how much a byte of it may cost: to find and check its messages, and
+    to decode all values as well (None: the firmware does not decode these)."""
 
     mode: str
     what: str
     goal: float
-    values: bool = True  # the firmware decodes the values of these messages
+    values_goal: float | None
 
 
 STREAMS = (
-    Stream("exact", "64-byte frames, that header only", 15),
-    Stream("any", "frames of 64, 52 and 40 bytes, any header", 15, values=False),
-    Stream("ascii", "$VNYMR lines", 25),
-    Stream("mixed", "all of these, any header", 25),
+    Stream("exact", "64-byte frames, that header only", 15, 11),
+    Stream("any", "frames of 64, 52 and 40 bytes, any header", 15, None),
+    Stream("ascii", "$VNYMR lines", 25, 25),
+    Stream("mixed", "all of these, any header", 25, 25),
 )
 
 
@@ -107,12 +108,15 @@ def main(load: Load = FULL) -> int:
             missed += here > stream.goal
             print(f"  {here:6.1f}  {stream.goal:6.0f}  {fish:9.1f}  {stream.what}")
         print("The same with all values decoded:")
-        for stream in (one for one in load.streams if one.values):
+        for stream in load.streams:
+            if stream.values_goal is None:
+                continue
             here = cost_here(stream, load.repeats, values=True)
             fish = cost_on_the_fish(stream, Path(folder), values=True)
-            print(f"  {here:6.1f}          {fish:9.1f}  {stream.what}")
+            missed += here > stream.values_goal
+            print(f"  {here:6.1f}  {stream.values_goal:6.0f}  {fish:9.1f}  {stream.what}")
     if missed:
-        sys.exit(f"{missed} of {len(load.streams)} goals missed")
+        sys.exit(f"{missed} goals missed")
     return 0
 
 

@@ -7,17 +7,17 @@
 #include "imu/reader.h"
 
 #define CHUNK_BYTES 64u
+#define VALUES_MAX 32u
 
 /* Decodes what the firmware can decode: the fish's own frame, and each number of a line. The sum
  * keeps the compiler from leaving it out. */
 static inline float sum_of_values(const imu_message_t *message) {
-    float sum = 0.0f, value;
+    float sum = 0.0f, values[VALUES_MAX];
     imu_frame_t frame;
     if (message->kind == IMU_LINE) {
-        const imu_text_t body = imu_line_body(message);
-        const unsigned fields = imu_line_fields(body);
-        for (unsigned i = 1; i < fields; i++) {
-            sum += imu_text_float(imu_line_field(body, i), &value) ? value : 0.0f;
+        const unsigned count = imu_line_floats(message, values, VALUES_MAX);
+        for (unsigned i = 0; i < count; i++) {
+            sum += values[i];
         }
     } else if (message->length == IMU_FRAME_BYTES && imu_frame_decode(message->bytes, &frame)) {
         sum = frame.ypr_deg[0] + frame.accel_m_s2[0] + frame.rate_rad_s[0];

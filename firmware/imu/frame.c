@@ -1,11 +1,12 @@
 #include "imu/frame.h"
 
-#include "base/real.h"
-
+#include <float.h>
 #include <stddef.h>
 #include <string.h>
 
-enum { OFFSET_TIME = 6, OFFSET_VECTORS = 14, WORD_BYTES = 4 };
+enum { OFFSET_TIME = 6, OFFSET_VALUES = 14, WORD_BYTES = 4, VALUES = 12, VECTOR = 3 };
+
+#define SIZE_BITS 0x7FFFFFFFu
 
 const uint8_t imu_frame_header[IMU_FRAME_HEADER_BYTES] = {0xFA, 0x11, 0x29, 0x01, 0x40, 0x00};
 
@@ -14,30 +15,37 @@ static uint32_t load_u32(const uint8_t *bytes) {
            (uint32_t)bytes[3] << 24;
 }
 
-static void load_vector(float out[3], const uint8_t *bytes) {
-    for (size_t axis = 0; axis < 3; axis++) {
-        const uint32_t bits = load_u32(bytes + WORD_BYTES * axis);
-        memcpy(&out[axis], &bits, sizeof bits);
-    }
-}
+/* What each value's size may be; the largest number there is: any that is finite. */
+static const float most[VALUES] = {
+    FLT_MAX,
+    IMU_PITCH_MAX_DEG,
+    FLT_MAX,
+    IMU_RATE_MAX_RAD_S,
+    IMU_RATE_MAX_RAD_S,
+    IMU_RATE_MAX_RAD_S,
+    IMU_ACCEL_MAX_M_S2,
+    IMU_ACCEL_MAX_M_S2,
+    IMU_ACCEL_MAX_M_S2,
+    IMU_LINEAR_ACCEL_MAX_M_S2,
+    IMU_LINEAR_ACCEL_MAX_M_S2,
+    IMU_LINEAR_ACCEL_MAX_M_S2,
+};
 
-/* False for NaN too. */
-static bool all_within(const float v[3], float limit) {
-    return real_abs(v[0]) <= limit && real_abs(v[1]) <= limit && real_abs(v[2]) <= limit;
-}
-
+/* Sizes of floats are in the order of their bits, infinity and NaN above all numbers. */
 bool imu_frame_decode(const uint8_t *bytes, imu_frame_t *frame) {
+    uint32_t values[VALUES], limits[VALUES], beyond = 0;
+    memcpy(limits, most, sizeof limits);
+    for (size_t i = 0; i < VALUES; i++) {
+        values[i] = load_u32(bytes + OFFSET_VALUES + WORD_BYTES * i);
+        beyond |= limits[i] - (values[i] & SIZE_BITS);
+    }
     frame->time_startup_ns = (uint64_t)load_u32(bytes + OFFSET_TIME) |
                              (uint64_t)load_u32(bytes + OFFSET_TIME + WORD_BYTES) << 32;
-    float *const vectors[] = {frame->ypr_deg, frame->rate_rad_s, frame->accel_m_s2,
-                              frame->linear_accel_m_s2};
-    for (size_t i = 0; i < sizeof vectors / sizeof vectors[0]; i++) {
-        load_vector(vectors[i], bytes + OFFSET_VECTORS + 3 * WORD_BYTES * i);
-    }
-    return real_is_finite(frame->ypr_deg[0]) && real_abs(frame->ypr_deg[1]) <= IMU_PITCH_MAX_DEG &&
-           real_is_finite(frame->ypr_deg[2]) && all_within(frame->rate_rad_s, IMU_RATE_MAX_RAD_S) &&
-           all_within(frame->accel_m_s2, IMU_ACCEL_MAX_M_S2) &&
-           all_within(frame->linear_accel_m_s2, IMU_LINEAR_ACCEL_MAX_M_S2);
+    memcpy(frame->ypr_deg, values, sizeof frame->ypr_deg);
+    memcpy(frame->rate_rad_s, values + VECTOR, sizeof frame->rate_rad_s);
+    memcpy(frame->accel_m_s2, values + 2 * VECTOR, sizeof frame->accel_m_s2);
+    memcpy(frame->linear_accel_m_s2, values + 3 * VECTOR, sizeof frame->linear_accel_m_s2);
+    return beyond <= SIZE_BITS; /* no difference was below zero */
 }
 
 void imu_sequence_init(imu_sequence_t *sequence, uint32_t nominal_ns) {

@@ -2,6 +2,7 @@
 
 #include "base/crc.h"
 
+#include <math.h>
 #include <string.h>
 
 #define FLOAT_MAX_DIGITS 9u
@@ -140,28 +141,76 @@ bool imu_text_unsigned(imu_text_t text, uint32_t base, uint32_t *value) {
     return text.length != 0;
 }
 
-bool imu_text_float(imu_text_t text, float *value) {
-    const bool negative = text.length != 0 && text.chars[0] == '-';
-    size_t i = negative || (text.length != 0 && text.chars[0] == '+') ? 1 : 0;
-    uint32_t number = 0, digits = 0;
-    float unit = 1.0f; /* a power of ten up to 1e9: exact */
-    bool fraction = false;
-    for (; i < text.length; i++) {
-        if (text.chars[i] == '.' && !fraction) {
-            fraction = true;
-            continue;
-        }
-        const uint32_t digit = digit_value(text.chars[i]);
-        if (digit > 9u || ++digits > FLOAT_MAX_DIGITS) {
-            return false;
-        }
-        number = number * 10u + digit;
-        unit = fraction ? unit * 10.0f : unit;
+/* Powers of ten up to 1e9 are exact in float32. */
+static const float units[FLOAT_MAX_DIGITS + 1u] = {1.0f, 1e1f, 1e2f, 1e3f, 1e4f,
+                                                   1e5f, 1e6f, 1e7f, 1e8f, 1e9f};
+
+/* Reads digits up to what is none; |number| wraps when there are too many. */
+static const char *read_digits(const char *at, uint32_t *number) {
+    uint32_t digit;
+    while ((digit = (uint32_t)(uint8_t)*at - '0') <= 9u) {
+        *number = *number * 10u + digit;
+        at++;
+    }
+    return at;
+}
+
+/* Reads a number from |at| on, behind which stands what belongs to none. Returns where it ends, or
+ * NULL when there is none. */
+static const char *read_float(const char *at, float *value) {
+    const bool negative = *at == '-';
+    const char *const begin = at + (negative || *at == '+');
+    uint32_t number = 0;
+    const char *stop = read_digits(begin, &number);
+    size_t digits = (size_t)(stop - begin), decimals = 0;
+    if (*stop == '.') {
+        const char *const point = stop + 1;
+        stop = read_digits(point, &number);
+        decimals = (size_t)(stop - point);
+        digits += decimals;
+    }
+    if (digits - 1u >= FLOAT_MAX_DIGITS) {
+        return NULL;
     }
     /* Rounded twice, each time by half a place at most. */
-    const float size = (float)number / unit;
+    const float size = (float)number / units[decimals];
     *value = negative ? -size : size;
-    return digits != 0;
+    return stop;
+}
+
+bool imu_text_float(imu_text_t text, float *value) {
+    char ended[FLOAT_MAX_DIGITS + 3u] = {0}; /* a sign, a point, an end */
+    float read;
+    if (text.length == 0 || text.length >= sizeof ended) {
+        return false;
+    }
+    memcpy(ended, text.chars, text.length);
+    if (read_float(ended, &read) != ended + text.length) {
+        return false;
+    }
+    *value = read;
+    return true;
+}
+
+static const char *field_end(const char *at) {
+    while (*at != ',' && *at != '*') {
+        at++;
+    }
+    return at;
+}
+
+unsigned imu_line_floats(const imu_message_t *message, float *values, unsigned most) {
+    const char *at = field_end((const char *)message->bytes + 1);
+    unsigned count = 0;
+    for (; *at == ',' && count < most; count++) {
+        const char *const begin = at + 1;
+        at = read_float(begin, &values[count]);
+        if (at == NULL || (*at != ',' && *at != '*')) {
+            values[count] = NAN;
+            at = field_end(begin);
+        }
+    }
+    return count;
 }
 
 static bool is_error_code(uint32_t code) { return (code >= 1u && code <= 12u) || code == 255u; }

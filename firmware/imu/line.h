@@ -54,6 +54,10 @@ bool imu_text_unsigned(imu_text_t text, uint32_t base, uint32_t *value);
  * away from the nearest one. */
 bool imu_text_float(imu_text_t text, float *value);
 
+/* All fields behind the type as numbers, read in one pass, at most |most| of them; NaN for a field
+ * that is none. Returns how many. |message| is a line the reader got. */
+unsigned imu_line_floats(const imu_message_t *message, float *values, unsigned most);
+
 /* $VNERR's code in either notation (firmware 2 prints decimal, firmware 3 hexadecimal); 0 when the
  * body is no $VNERR or its code is none. */
 unsigned imu_line_error(imu_text_t body);

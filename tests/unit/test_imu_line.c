@@ -3,6 +3,7 @@
 
 #include "unity.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -161,6 +162,43 @@ static void a_real_line_gives_its_values(void) {
     }
 }
 
+/* Whatever stands in a line: the same as field by field, and NaN for what is no number. */
+static void a_line_is_read_in_one_pass(void) {
+    for (unsigned i = 0; i < 3000; i++) {
+        char line[128] = "$VNYMR";
+        size_t length = strlen(line);
+        while (length < 100 && random_u32() % 12 != 0) {
+            const char *const bits = random_u32() % 4 == 0 ? ",,,,.+-A1" : "0123456789.,";
+            line[length++] = ',';
+            for (unsigned chars = random_u32() % 12; chars != 0; chars--) {
+                line[length++] = bits[random_u32() % strlen(bits)];
+            }
+        }
+        strcpy(line + length, "*00\r\n");
+        const imu_message_t message = message_of(line);
+        const imu_text_t body = imu_line_body(&message);
+        float values[128];
+        const unsigned count = imu_line_floats(&message, values, 128);
+        TEST_ASSERT_EQUAL_UINT_MESSAGE(imu_line_fields(body) - 1, count, line);
+        for (unsigned field = 0; field < count; field++) {
+            float value = NAN;
+            (void)imu_text_float(imu_line_field(body, field + 1), &value);
+            TEST_ASSERT_TRUE_MESSAGE(memcmp(&value, &values[field], sizeof value) == 0 ||
+                                         (isnan(value) && isnan(values[field])),
+                                     line);
+        }
+    }
+}
+
+static void no_more_values_are_read_than_there_is_room_for(void) {
+    const imu_message_t message = message_of(YMR), bare = message_of("$VNWNV*57\n");
+    float values[3] = {0.0f, 0.0f, 7.0f};
+    TEST_ASSERT_EQUAL_UINT(2, imu_line_floats(&message, values, 2));
+    TEST_ASSERT_EQUAL_FLOAT(-7.33f, values[1]);
+    TEST_ASSERT_EQUAL_FLOAT(7.0f, values[2]);
+    TEST_ASSERT_EQUAL_UINT(0, imu_line_floats(&bare, values, 3));
+}
+
 static void error_codes_are_read_in_both_notations(void) {
     static const char *const hex[] = {"0A", "0B", "0C", "FF", "A"};
     static const unsigned hex_codes[] = {10, 11, 12, 255, 10};
@@ -260,6 +298,8 @@ int main(void) {
     RUN_TEST(any_nine_digits_are_read);
     RUN_TEST(what_is_no_number_is_refused);
     RUN_TEST(a_real_line_gives_its_values);
+    RUN_TEST(a_line_is_read_in_one_pass);
+    RUN_TEST(no_more_values_are_read_than_there_is_room_for);
     RUN_TEST(error_codes_are_read_in_both_notations);
     RUN_TEST(what_is_no_error_has_no_code);
     RUN_TEST(commands_get_the_published_checks);
