@@ -5,12 +5,28 @@
  */
 #include "speed/estimate.h"
 #include "base/crc.h"
+#include "base/real.h"
 #include "imu/imu.h"
 #include "speed/motion.h"
 
 #include <string.h>
 
-enum { IMU_PUSH, REST_PUSH, MOTION_PUSH, MOTION_FORWARD, FORWARD, BACK = FORWARD + 4 };
+/* motion.c as it would be in floating point, for comparison. */
+#define PLAIN_SLOTS 48
+#define REAL float
+#define ROOT(x) real_sqrt(x)
+#define NAME(x) x##_float
+#include "motion_plain.h"
+
+enum {
+    IMU_PUSH,
+    REST_PUSH,
+    MOTION_PUSH,
+    MOTION_FORWARD,
+    FORWARD,
+    BACK = FORWARD + 4,
+    MOTION_PLAIN = BACK + 4
+};
 #define BEGIN 0x100u
 #define END 0u
 
@@ -30,6 +46,7 @@ _Noreturn void panic(const char *where) {
 static imu_t imu;
 static rest_t rest;
 static motion_t motion;
+static plain_t_float plain;
 static speed_t speed;
 static estimate_t estimate;
 static float speed_m_s[BEATS_MAX], sigma_m_s[BEATS_MAX];
@@ -79,12 +96,16 @@ static void feel(void) {
         }
         if (!motion.begun) {
             motion_begin(&motion, NULL, &sample.frame);
+            begin_float(&plain, &(rest_mean_t){.accel_m_s2 = {0.0f, 0.0f, -9.81f}});
         }
         MARK = BEGIN + REST_PUSH;
         rest_push(&rest, &sample.frame, sample.dt_s);
         MARK = END;
         MARK = BEGIN + MOTION_PUSH;
         motion_push(&motion, &sample.frame, (float)i / RATE_HZ, sample.dt_s);
+        MARK = END;
+        MARK = BEGIN + MOTION_PLAIN;
+        push_float(&plain, &sample.frame, (float)i / RATE_HZ, sample.dt_s);
         MARK = END;
     }
     for (uint16_t slot = 10; slot < 20; slot++) {

@@ -12,38 +12,49 @@
  * Integrating along its nose would give metres per second of nonsense; so would a direction that
  * swings by one degree in step with the sway: decimetres per second.
  *
- * Pure, float32, no libm. Not for interrupts.
+ * In fixed point: the fish's processor has no floating point, and rounds less often this way
+ * (bench/estimate_cost.py, test_motion_error.c). Pure. Not for interrupts.
  */
 #ifndef SPEED_MOTION_H
 #define SPEED_MOTION_H
 
+#include "speed/attitude.h"
 #include "speed/rest.h"
 #include "speed/speed.h"
 
 #define MOTION_SLOTS 88u /* two of the longest beats (4 s) and 0.8 s to spare */
 
+/* Fixed point as base/fixed.h has it. */
 typedef struct {
     uint16_t index;       /* from the start of the swim */
     int16_t turn_100urad; /* of the heading, clockwise from above; SPEED_NO_MOTION = too much */
-    float covered_s;      /* of the slot, by frames */
-    float gain_m_s[2];    /* velocity gained, along the level axes */
-    float way_m[2];       /* way beyond that of the velocity at the slot's begin */
-    float nose_s[2];      /* integral of the level part of the unit vector along the nose */
+    int32_t covered;      /* of the slot, by frames; s, Q33 */
+    int32_t gain[2];      /* velocity gained, along the level axes; m/s, Q29 */
+    int32_t way[2];       /* way beyond that of the velocity at the slot's begin; m, Q32 */
+    int32_t nose[2];      /* integral of the level part of the unit vector along the nose; s, Q33 */
 } motion_slot_t;
+
+/* Of the slot being filled, unrounded. */
+typedef struct {
+    int64_t gain[2], way[2]; /* m/s, Q55; m, Q62 */
+    int64_t turn;            /* rad, Q53 */
+} motion_sums_t;
 
 typedef struct {
     bool begun;
-    bool follows; /* |last| and |period_s| are known */
+    bool follows; /* |last| and |period| are known */
     bool lost;    /* for the rest of the swim */
-    float q[4];   /* body to level frame, scalar first */
-    float rate_bias_rad_s[3];
-    float first_nose[3]; /* unit vector along the nose at the start, level frame */
-    float last[6];       /* of the frame before: angular rate less bias, specific force */
-    float period_s;      /* of the frames */
-    float coned_rad[3];  /* pitch that would come of a scale error of 1, each gyroscope's */
-    float until_s;       /* motion is summed up to here, from the start */
-    uint16_t index;      /* of the slot of that time, at most */
-    float turn_rad;      /* of the last slot, unrounded */
+    attitude_t attitude;
+    int64_t rate_bias[3];  /* rad/s, Q46 */
+    int32_t first_nose[2]; /* what a slot before the start has as its nose */
+    int32_t last[6]; /* of the frame before: rate less bias, specific force; rad/s, Q24, m/s^2, Q22
+                      */
+    int32_t felt_left[6], force_left[3], accel_left[2]; /* of what was rounded so far */
+    int32_t period;                                     /* of the frames; s, Q33 */
+    int64_t coned[3]; /* pitch that would come of a scale error of 1, each gyroscope's; rad, Q30 */
+    int64_t until;    /* motion is summed up to here, from the start; s, Q33 */
+    uint16_t index;   /* of the slot of that time, at most */
+    motion_sums_t filling;
     motion_slot_t slots[MOTION_SLOTS]; /* ring */
 } motion_t;
 
@@ -55,7 +66,9 @@ void motion_begin(motion_t *motion, const rest_mean_t *rest, const imu_frame_t *
  * it); |dt_s| since the frame before. Frames are recognised as missing when dt_s is more than 1.5
  * frame periods. Up to MOTION_GAP_MAX_S of them are replaced by the mean of their neighbours. After
  * a longer gap, or a restart of the sensor (dt_s = 0), nobody knows how the body turned meanwhile,
- * and a degree would be 0.17 m/s^2: the motion is lost, and what follows is not looked at. */
+ * and a degree would be 0.17 m/s^2: the motion is lost, and what follows is not looked at. The same
+ * after a turn of more than 0.75 rad within a frame or a gap, which is beyond the sensor's range at
+ * 50 Hz. */
 #define MOTION_GAP_MAX_S 0.05f
 void motion_push(motion_t *motion, const imu_frame_t *frame, float time_s, float dt_s);
 

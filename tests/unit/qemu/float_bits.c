@@ -387,7 +387,10 @@ static void motion_case(uint32_t number) {
         time_s += dt_s > 0.0f && dt_s < 1.0f ? dt_s : nominal_s;
         motion_push(&motion, &frame, time_s, dt_s);
     }
-    note_all(motion.q, 4);
+    for (uint32_t i = 0; i < 4u; i++) {
+        note_word((uint32_t)motion.attitude.q[i]);
+        note_word((uint32_t)((uint64_t)motion.attitude.q[i] >> 32));
+    }
     for (uint32_t back = 0; back < 30u; back++) {
         float moved[2] = {0};
         const uint16_t index = (uint16_t)(motion.index - back);
