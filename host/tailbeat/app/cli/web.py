@@ -13,6 +13,7 @@ from tailbeat.app.cli._options import EXPERIMENTS, Connect, Root, Stream
 from tailbeat.app.cli._terminal import json_asked, print_line
 from tailbeat.app.web.picture import LastPicture
 from tailbeat.app.web.server import listen, serve
+from tailbeat.app.web.state import corners
 from tailbeat.app.web.worker import Worker, simulated_camera
 from tailbeat.board.connect import open_transport
 from tailbeat.board.fish import Fish
@@ -50,7 +51,9 @@ def web(
         print_line({"urls": place.urls, "port": place.port}, f"{urls}\n(Ctrl-C ends it)")
         picture = None if camera.positions else LastPicture()
         open_camera = partial(_camera, camera, picture)
-        worker = Worker(make, root, open_camera, stream=stream, picture=picture)
+        known = camera.calibration
+        walls = corners(known.area_m) if known is not None else ()
+        worker = Worker(make, root, open_camera, stream=stream, picture=picture, walls=walls)
         serve(worker, place, open_ and not json_asked.get())
 
 

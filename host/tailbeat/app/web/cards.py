@@ -1,5 +1,5 @@
-"""The cards on which something is chosen or looked up: reference, limit, parameters, notes,
-comparison, report, log.
+"""The cards on which something is chosen or looked up: reference, limit, parameters, notes, report,
+event log.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from tempfile import TemporaryDirectory
 
 from nicegui import events, ui
 
-from tailbeat.app.web import charts, parts
-from tailbeat.app.web.parts import Choice, Live, titled, warn
+from tailbeat.app.web import parts
+from tailbeat.app.web.parts import Live, titled, warn
 from tailbeat.app.web.state import LOG_LINES, PageState
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import Reference, from_csv, from_text
@@ -54,23 +54,26 @@ class ReferenceCard:
         self._is_known = False
         with (
             ui.element("section").classes("card reference"),
-            ui.expansion("Another reference: the speed to swim").props(
-                parts.UNFOLDED
-            ) as self._fold,
+            ui.expansion("Change the reference").props(parts.UNFOLDED) as self._fold,
         ):
             ui.label(
-                "thesis; or trapezoid:0.06,8,20 = 0.06 m/s, 8 s up and down, 20 s between; or a CSV"
-                " file with the columns t_s,v_m_s. Learning begins anew."
+                "The desired speed of each beat. Type thesis, or trapezoid:0.06,8,20 (0.06 m/s, 8 s"
+                " up and down, 20 s between), or choose a CSV file with the columns t_s,v_m_s."
+                " Learning restarts."
             ).classes("hint")
             with ui.element("div").classes("line").style("width:100%"):
                 self._text = ui.input("Shape", value="thesis").props("outlined").classes("shape")
                 ui.button("Use it", on_click=self._by_text).classes("use").style("min-height:56px")
             self._file()
-        with ui.dialog().props(parts.AT_ONCE) as self._sure, ui.card().classes("dialog"):
+        label = 'aria-label="Change the reference?"'
+        with (
+            ui.dialog().props(f"{parts.AT_ONCE} {label}") as self._sure,
+            ui.card().classes("dialog"),
+        ):
             self._question = ui.label().style("line-height:1.4")
             with ui.element("div").classes("choices").style("grid-template-columns:1fr 1fr"):
-                ui.button("Begin anew", on_click=self._use).classes("sure")
-                ui.button("Leave it", on_click=self._sure.close).props("outline")
+                ui.button("Change it", on_click=self._use).classes("sure")
+                ui.button("Cancel", on_click=self._sure.close).props("outline")
         live.follow(self._is_found, self._unfold)
 
     def _is_found(self, now: PageState) -> bool:
@@ -89,7 +92,7 @@ class ReferenceCard:
             max_files=1,
             max_file_size=_CSV_BYTES_MAX,
             on_upload=self._by_file,
-            on_rejected=lambda: warn("that is no CSV file of less than 1 MB"),
+            on_rejected=lambda: warn("This is no CSV file below 1 MB. Choose another."),
         )
         upload.props("accept=.csv").classes("csv")
         choose = ui.button("Choose a CSV file").props("outline").classes("choose")
@@ -115,8 +118,8 @@ class ReferenceCard:
             self._use()
             return
         self._question.set_text(
-            f"The fish has learned for {now.iteration} iterations along its present reference."
-            " With another one the board begins from nothing; the trials so far stay as they are."
+            f"The fish has learned its present reference for {now.iteration} iterations."
+            " With another one, learning restarts at iteration 1. All trials so far are kept."
         )
         self._sure.open()
 
@@ -129,9 +132,9 @@ class ReferenceCard:
 def notes_card(live: Live) -> None:
     """A line with its time for the experiment's notes."""
     with titled("Note", "notes"):
-        ui.label("Water temperature, who helped, what was odd: kept with its time.").classes("hint")
+        ui.label("For example the water temperature. It is saved with its time.").classes("hint")
         with ui.element("div").classes("line"):
-            text = ui.input("What to remember").props("outlined").classes("note")
+            text = ui.input("Text of the note").props("outlined").classes("note")
 
             def add() -> None:
                 if live.ask("note", text=text.value or ""):
@@ -156,8 +159,9 @@ def log_card(live: Live) -> None:
         for old in lines.default_slot.children[LOG_LINES:]:
             lines.remove(old)
 
-    with titled("What happened"):
+    with titled("Event log"):
         lines = ui.element("div").classes("log")
+        lines.props('tabindex=0 role=region aria-label="Events, newest first"')
     live.follow(lambda now: (now.logged, now.log), show)
 
 
@@ -166,23 +170,24 @@ def limit_card(live: Live) -> None:
     with titled("Amplitude limit", "limit"):
         live.label(_limit_line, "hint")
         with ui.element("div").classes("line"):
-            number = ui.input("rad").props("outlined inputmode=decimal").classes("limit-rad")
+            number = ui.input("Limit, rad").props("outlined inputmode=decimal").classes("limit-rad")
             set_ = ui.button(
                 "Set", on_click=lambda: live.ask("set", name=AMP_MAX, value=number.value or "")
             )
-            set_.props("outline").classes("set-limit tall")
+            set_.props('outline aria-label="Set the amplitude limit"').classes("set-limit tall")
 
 
 def _limit_line(now: PageState) -> str:
     if now.amplitude_max_rad is None:
-        return "not known yet"
+        return "Not known yet."
     return (
-        f"The tail swings {now.amplitude_max_rad:.2f} rad at most. Type a number to change it:"
-        " a larger one is taken only as far as a run of this fish went."
+        f"The tail beats {now.amplitude_max_rad:.2f} rad to either side at most. A larger limit is"
+        " accepted only up to what this fish executed in a run."
     )
 
 
 _SHOWN_MAX = 8
+_CROSS = "M6 7.4 7.4 6 12 10.6 16.6 6 18 7.4 13.4 12 18 16.6 16.6 18 12 13.4 7.4 18 6 16.6 10.6 12z"
 
 
 class ParamsCard:
@@ -194,7 +199,9 @@ class ParamsCard:
             ui.element("section").classes("card params"),
             ui.expansion("Parameters", on_value_change=self._unfold).props(parts.UNFOLDED),
         ):
-            self._search = ui.input("Search name or meaning").props("outlined clearable")
+            self._search = ui.input("Search name or meaning").props(
+                f'outlined clearable clear-icon="{_CROSS}"'
+            )
             self._search.classes("search").on_value_change(self._draw)
             self._count = ui.label().classes("hint")
             self._rows = ui.element("div").classes("param-rows")
@@ -229,58 +236,10 @@ class ParamsCard:
                 )
 
 
-class CompareCard:
-    """Two trials over each other."""
-
-    def __init__(self, live: Live) -> None:
-        self._live = live
-        with titled("Compare two trials", "compare"):
-            with ui.element("div").classes("two"):
-                self._one = Choice("First", {"": "none yet"}, self._draw)
-                self._other = Choice("Second", {"": "none yet"}, self._draw)
-            self._words = ui.label().classes("hint")
-            self._chart = ui.echart(charts.compare_chart(None, None))
-            self._chart.classes("chart live compare-chart").props(
-                'role=img aria-label="Speeds of two trials"'
-            )
-        live.follow(lambda now: tuple(curve.trial for curve in now.curves), self._offer)
-
-    def _offer(self, trials: tuple[int, ...]) -> None:
-        """The best and the last, until somebody chooses."""
-        names = {str(number): f"trial {number}" for number in reversed(trials)}
-        rows = [row for row in self._live.worker.now.rows if row.trial in trials and row.counts]
-        best = min(rows, key=lambda row: row.max_abs_error_m_s, default=None)
-        self._one.offer(names or {"": "none yet"}, str(best.trial) if best is not None else "")
-        self._other.offer(names or {"": "none yet"}, str(trials[-1]) if trials else "")
-        self._draw()
-
-    def _draw(self) -> None:
-        now = self._live.worker.now
-        curves = {str(curve.trial): curve for curve in now.curves}
-        chosen = [curves.get(one.value) for one in (self._one, self._other)]
-        errors = {str(row.trial): row.max_abs_error_m_s * 1e3 for row in now.rows}
-        words = [
-            f"trial {one.value}: largest error {errors[one.value]:.1f} mm/s"
-            for one in (self._one, self._other)
-            if one.value in errors
-        ]
-        self._words.set_text("; ".join(words))
-        show_chart(self._chart, charts.compare_chart(*chosen))
-
-
-def show_chart(chart: ui.echart, options: charts.Options) -> None:
-    """Other options for it."""
-    chart.options.clear()
-    chart.options.update(options)
-    chart.update()
-
-
 def report_card(live: Live) -> None:
     """The experiment's report, once it is written."""
     with titled("Report", "report"):
-        ui.label("Figures and tables of all trials of this experiment, to keep or print.").classes(
-            "hint"
-        )
+        ui.label("Figures and tables of all trials of this experiment.").classes("hint")
         with ui.element("div").classes("two"):
             write = ui.button("Write the report", on_click=lambda: live.ask("report"))
             write.props("outline").classes("write-report")

@@ -172,6 +172,6 @@ class Asks:
 _BUSY = {
     "decide": "there is nothing to decide: somebody has decided already",
     "answer": "there is nothing to answer: somebody has answered already",
-    "swim": "it swims already, or cannot swim now",
+    "swim": "a trial runs already, or none can start now",
 }
 _NOT_NOW = "this cannot be done now: the fish is busy, or not connected"

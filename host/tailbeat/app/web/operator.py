@@ -67,14 +67,14 @@ class PageOperator:
 
     def confirm(self, question: str) -> bool:
         """Likewise."""
-        ask = self.worker.answered(self.fish, "answer", question=question)
+        ask = self.worker.answered(self.fish, "answer", question=state.on_the_page(question))
         self.worker.set_phase("working", "note", question="")
         return bool(ask.values["yes"])
 
     def number(self, question: str, value: float) -> float | None:
         """What is typed below the question; a plain yes is none."""
         worker = self.worker
-        words = f"{question} {value:g}."
+        words = state.on_the_page(f"{question} {value:g}.")
         ask = worker.answered(self.fish, "answer", question=words, number=value)
         worker.set_phase("working", "note", question="", number=None)
         return _number_of(ask.values["typed"]) if ask.values["yes"] else None

@@ -6,79 +6,148 @@ come, go or reload always show how things stand.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.resources import files
 
 from nicegui import ui
 
 from tailbeat.app.web import charts, parts, view
 from tailbeat.app.web.cards import (
-    CompareCard,
     ParamsCard,
     ReferenceCard,
     limit_card,
     log_card,
     notes_card,
     report_card,
-    show_chart,
 )
-from tailbeat.app.web.parts import Live, titled
+from tailbeat.app.web.parts import Choice, Live, titled
 from tailbeat.app.web.state import MOVING, PageState
 from tailbeat.app.web.worker import Worker
 
-Draw = Callable[[PageState], charts.Options]
-_CHARTS: tuple[tuple[str, str, Draw, str], ...] = (
-    (
+
+@dataclass(frozen=True)
+class ChartCard:
+    """``draw`` and ``words`` show the same of a snapshot."""
+
+    title: str
+    hint: str
+    draw: Callable[[PageState], charts.Options]
+    words: Callable[[PageState], str]
+    name: str
+
+
+_CARDS = (
+    ChartCard(
         "Speed of each beat",
         "Dashed: reference. Dots: measured; a gap was not measured. Thin: earlier trials.",
         charts.speed_chart,
+        charts.speed_text,
         "speed-chart",
     ),
-    (
+    ChartCard(
         "Error of each beat",
         "Reference less speed. Triangles: at the amplitude limit. Crosses: no speed measured."
         " Dotted: the error bound.",
         charts.beat_error_chart,
+        charts.beat_error_text,
         "beat-error-chart",
     ),
-    (
+    ChartCard(
         "Amplitude of each beat",
-        "How far the tail swings to either side; this is what is learned.",
+        "The feedforward input: how far the tail beats to either side. This is what is learned.",
         charts.amplitude_chart,
+        charts.amplitude_text,
         "amplitude-chart",
     ),
-    (
+    ChartCard(
         "Largest error of each trial",
-        "One iteration = learned once more. Dotted, once the fish has been measured:"
-        " the error bound, below which no amplitudes get.",
+        "By iteration. Dotted, once the fish was measured: the error bound, which no input beats.",
         charts.error_chart,
+        charts.error_text,
         "error-chart",
     ),
 )
 
 
-def _chart(live: Live, title: str, hint: str, draw: Draw, name: str) -> None:
-    with titled(title):
-        ui.label(hint).classes("hint")
-        chart = ui.echart({}).classes(f"chart live {name}").props(f'role=img aria-label="{title}"')
-    live.follow(draw, lambda options: show_chart(chart, options))
+class Chart:
+    """One that is drawn as SVG: its colours are the page's, in the light and in the dark."""
+
+    def __init__(self, title: str, classes: str) -> None:
+        self._title = title
+        self._chart = ui.echart({}, renderer="svg").classes(f"chart {classes}").props("role=img")
+        self.say("")
+
+    def show(self, options: charts.Options) -> None:
+        """Other options for it."""
+        self._chart.options.clear()
+        self._chart.options.update(options)
+        self._chart.update()
+
+    def say(self, words: str) -> None:
+        """The same for a screen reader."""
+        text = f"{self._title}: {words}" if words else self._title
+        self._chart.props(f"aria-label={json.dumps(text)}")
 
 
-def _charts(live: Live) -> None:
+def charts_part(live: Live) -> None:
+    """All four."""
     with ui.element("div").classes("charts"):
-        for title, hint, draw, name in _CHARTS:
-            _chart(live, title, hint, draw, name)
+        for card in _CARDS:
+            with titled(card.title):
+                ui.label(card.hint).classes("hint")
+                chart = Chart(card.title, f"live {card.name}")
+            live.follow(card.draw, chart.show)
+            live.follow(card.words, chart.say)
 
 
-def _tank_card(live: Live) -> None:
+def tank_card(live: Live) -> None:
     """From above, with the camera's picture where there is one."""
     with titled("The tank from above", "tank"):
         live.label(lambda now: now.travel, "hint")
-        chart = ui.echart({}).classes("chart live tank-chart")
-        chart.props('role=img aria-label="Where the fish has been in the tank"')
+        chart = Chart("The tank from above", "live tank-chart")
         picture = ui.element("img").classes("camera").props('alt="What the camera sees"')
-    live.follow(charts.tank_chart, lambda options: show_chart(chart, options))
+    live.follow(charts.tank_chart, chart.show)
+    live.follow(charts.tank_text, chart.say)
     live.follow(lambda now: now.pictures, picture.set_visibility)
+
+
+class CompareCard:
+    """Two trials over each other."""
+
+    def __init__(self, live: Live) -> None:
+        self._live = live
+        with titled("Compare two trials", "compare"):
+            with ui.element("div").classes("two"):
+                self._one = Choice("First", {"": "none yet"}, self._draw)
+                self._other = Choice("Second", {"": "none yet"}, self._draw)
+            self._words = ui.label().classes("hint")
+            self._chart = Chart("Speeds of two trials", "live compare-chart")
+        live.follow(lambda now: tuple(curve.trial for curve in now.curves), self._offer)
+
+    def _offer(self, trials: tuple[int, ...]) -> None:
+        """The best and the last, until somebody chooses."""
+        names = {str(number): f"trial {number}" for number in reversed(trials)}
+        rows = [row for row in self._live.worker.now.rows if row.trial in trials and row.counts]
+        best = min(rows, key=lambda row: row.max_abs_error_m_s, default=None)
+        self._one.offer(names or {"": "none yet"}, str(best.trial) if best is not None else "")
+        self._other.offer(names or {"": "none yet"}, str(trials[-1]) if trials else "")
+        self._draw()
+
+    def _draw(self) -> None:
+        now = self._live.worker.now
+        curves = {str(curve.trial): curve for curve in now.curves}
+        chosen = [curves.get(one.value) for one in (self._one, self._other)]
+        errors = {str(row.trial): row.max_abs_error_m_s * 1e3 for row in now.rows}
+        words = [
+            f"trial {one.value}: largest error {errors[one.value]:.1f} mm/s"
+            for one in (self._one, self._other)
+            if one.value in errors
+        ]
+        self._words.set_text("; ".join(words))
+        self._chart.show(charts.compare_chart(*chosen))
+        self._chart.say(charts.compare_text(*chosen))
 
 
 _PERIOD_S = 0.2
@@ -89,7 +158,7 @@ _SIDE: tuple[Callable[[Live], object], ...] = (
     parts.status_card, ReferenceCard, limit_card, notes_card,
 )  # fmt: skip
 _MAIN: tuple[Callable[[Live], object], ...] = (
-    _tank_card, _charts, parts.trials_card, CompareCard, report_card, ParamsCard, log_card,
+    tank_card, charts_part, parts.trials_card, CompareCard, report_card, ParamsCard, log_card,
 )  # fmt: skip
 
 
@@ -107,6 +176,7 @@ class Page:
         ui.dark_mode(None)  # as the browser wishes
         with ui.element("div").classes("root") as root:
             self._header = parts.Header(live)
+            live.label(view.announcement, "said").props("role=status")
             with ui.element("div").classes("all"):
                 with ui.element("div").classes("side"):
                     for part in _SIDE:

@@ -30,21 +30,21 @@ from tailbeat.session.presenter import record_lines
 Shown = TypeVar("Shown")
 
 UNTIL = {
-    "converged": "until nothing more is gained",
+    "converged": "until it has converged",
     "1": "one trial",
     "3": "three trials",
     "10": "ten trials",
     "battery": "until the battery is low",
 }
 LAWS = {
-    "auto": "model-based, P until it is known",
+    "auto": "model-based; P until the fish is known",
     "model": "model-based",
     "p": "P law on the board",
 }
 COMMISSION = {
-    "new": "if it is unknown: three short runs",
-    "anew": "again, though it is known",
-    "never": "no, trials at once",
+    "new": "if the fish is unknown: three short runs",
+    "anew": "again",
+    "never": "no: trials only",
 }
 REASONS = (
     "bumped the wall",
@@ -56,7 +56,9 @@ REASONS = (
 )
 _COLOURS = {"keep": "primary", "repeat": "grey-8", "discard": "grey-8"}
 # What grows into its place moves from under a finger: dialogs and folds open in place.
-AT_ONCE, UNFOLDED = "transition-duration=0", "duration=0"
+AT_ONCE = "transition-duration=0"
+# Icons drawn here: Quasar's own come from a font of 129 kB.
+UNFOLDED = 'duration=0 expand-icon="M7 10l5 5 5-5z"'
 _STEP_LOOKS = {True: "done", False: "bad", None: "under-way"}
 
 
@@ -193,7 +195,7 @@ def dress(element: ui.element, look: str, *looks: str) -> None:
 
 
 class Header:
-    """Connection, board, battery, motion sensor, age of what is shown."""
+    """Connection, board, battery, IMU, age of what is shown."""
 
     def __init__(self, live: Live) -> None:
         with ui.element("header").classes("top"):
@@ -233,12 +235,12 @@ def status_card(live: Live) -> None:
         live.label(lambda now: now.law, "hint law")
         live.label(lambda now: now.diagnosis, "banner problem diagnosis")
         live.label(assessment, "hint assessment")
-        with ui.element("div").classes("banner fault") as fault:
+        with ui.element("div").classes("banner fault").props("role=alert") as fault:
             live.label(lambda now: now.fault, "")
-            clear = ui.button("Clear: the fish may swim again", on_click=lambda: live.ask("clear"))
+            clear = ui.button("Clear the fault", on_click=lambda: live.ask("clear"))
             clear.classes("clear")
         live.follow(is_stopped, fault.set_visibility)
-        live.label(lambda now: now.problem, "banner problem")
+        live.label(lambda now: now.problem, "banner problem").props("role=alert")
         _start(live)
 
 
@@ -246,9 +248,9 @@ def _start(live: Live) -> None:
     with ui.element("div").classes("go") as go:
         live.label(view.next_line, "travel next")
         start = ui.button("START").props("unelevated").classes("start")
-        commission = Choice("Measuring the fish", COMMISSION, classes="commission")
-        until = Choice("How long", UNTIL, classes="until")
-        law = Choice("Law of the inputs", LAWS, classes="law-choice")
+        commission = Choice("Commissioning", COMMISSION, classes="commission")
+        until = Choice("Trials", UNTIL, classes="until")
+        law = Choice("Law", LAWS, classes="law-choice")
         preflight = ui.switch(
             "Preflight checks before each trial: rest, pose, still water", value=True
         )
@@ -286,20 +288,21 @@ def trials_card(live: Live) -> None:
     with titled("Trials", "trial-list"):
         live.label(lambda now: f"In {now.experiment}." if now.experiment else "", "hint")
         ui.label(
-            "Errors against the reference, in mm/s: the largest of any beat, and the typical"
-            " one (RMS). “ulg” is the log as the board wrote it, “csv” its beats."
+            "Errors against the reference in mm/s: largest of any beat, and RMS. “ulg” is the"
+            " log as the board wrote it, “csv” its beats."
         ).classes("hint")
-        live.drawn(lambda now: now.rows, _draw_rows, "trials live")
+        live.drawn(lambda now: (now.rows, now.made_by), _draw_rows, "trials live")
 
 
-def _draw_rows(rows: tuple[TrialRow, ...]) -> None:
+def _draw_rows(shown: tuple[tuple[TrialRow, ...], tuple[str, ...]]) -> None:
+    rows, made_by = shown
     if not rows:
         ui.label("None yet.").classes("hint")
-    for row in reversed(rows):
-        _row(row)
+    for row, law in reversed(list(zip(rows, made_by, strict=True))):
+        _row(row, law)
 
 
-def _row(row: TrialRow) -> None:
+def _row(row: TrialRow, law: str) -> None:
     name = Path(row.file).name
     with ui.element("div").classes(f"trial {row.decision or 'undecided'}"):
         with ui.element("div").classes("number"):
@@ -309,8 +312,10 @@ def _row(row: TrialRow) -> None:
             ui.label(f"max {mm(row.max_abs_error_m_s)} · RMS {mm(row.rms_error_m_s)}")
         with ui.element("div").classes("words"):
             ui.label(view.row_line(row))
-            if text := view.straight(row):
-                ui.label(text).classes(text.partition(",")[0])
+            ui.label(f"input: {law}").classes("made-by")
+            if row.straight is not None:
+                drift = ui.label(view.heading_drift(row.straight))
+                drift.classes("crooked" if row.straight.crooked else "")
         with ui.element("div").classes("files"):
             _file("ulg", f"/raw/{name}", name, f"log of trial {row.trial}")
             stem = Path(name).stem
@@ -320,7 +325,7 @@ def _row(row: TrialRow) -> None:
 def _file(text: str, address: str, name: str, title: str) -> None:
     with ui.element("a").classes("file") as link:
         ui.label(text)
-    link.props(f'href="{address}" download="{name}" title="{title}"')
+    link.props(f'href="{address}" download="{name}" aria-label="{text}: {title}"')
 
 
 class _Answers:
@@ -381,7 +386,8 @@ def decision_dialog(live: Live) -> None:
     def fill(recorded: RecordedTrial | None) -> None:
         assert recorded is not None
         answers.show("")
-        title.set_text(f"What becomes of trial {recorded.outcome.number}?")
+        _name(dialog, view.decision_line(recorded))
+        title.set_text(view.decision_line(recorded))
         facts.clear()
         with facts:
             for line in record_lines(recorded):
@@ -413,7 +419,9 @@ def question_dialog(live: Live) -> None:
     def fill(question: str) -> None:
         number.set_value("")
         number.set_visibility(live.worker.now.number is not None)
-        text.set_text(question[:1].upper() + question[1:])
+        words = question[:1].upper() + question[1:]
+        _name(dialog, words)
+        text.set_text(words)
         answers.show("")
 
     live.dialog(dialog, lambda now: now.question if now.phase == "asking" else "", fill)
@@ -422,3 +430,8 @@ def question_dialog(live: Live) -> None:
 def _given(do: Callable[[Any], object], value: object) -> Callable[[], object]:
     """What a button does; not the loop's last value."""
     return lambda: do(value)
+
+
+def _name(dialog: ui.dialog, words: str) -> None:
+    """For a screen reader."""
+    dialog.props(f"aria-label={json.dumps(words)}")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, Literal
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import TailbeatError, reason
 from tailbeat.core.printable import printable
 from tailbeat.experiment.trial_rows import TrialRow
@@ -25,6 +27,7 @@ from tailbeat.session.events import (
     TrialDiagnosed,
     TrialStarted,
 )
+from tailbeat.session.guards import LENGTH_M, NOSE_M
 from tailbeat.session.outcome import RecordedTrial
 from tailbeat.session.presenter import input_text, log_line, result
 
@@ -73,10 +76,13 @@ class PageState:
     why the board stopped, likewise; empty = it has not. ``logged``: lines since the beginning, of
     which ``log`` holds the last. ``done``: how many wishes have been dealt with. ``guide``: of the
     guided job, ``law`` and ``diagnosis`` in words. ``track``: where the camera saw the fish, from
-    the start of the trial, x ahead and y to the right; ``walls``: corners of the tank likewise;
-    ``room_m``: how far ahead it may swim. ``curves``: of the trials in ``rows``. ``params``: empty
-    = not read yet. ``number``: that a question wants typed. ``reported``: counts the reports;
-    ``pictures``: whether there is a camera's picture."""
+    the start of the trial, x ahead and y to the right; ``start_pose``: x, y and heading there, of
+    the trial before until it is seen. ``walls``: corners of the water likewise, by the camera's
+    calibration, empty = not known; ``end_walls_m``: where ``TANK_LEN_M`` has the walls behind and
+    ahead of the start. ``room_m``: the tank clearance. ``curves``: of the trials in ``rows``, and
+    ``made_by``: what made the input of each. ``params``: empty = not read yet. ``number``: that a
+    question wants typed. ``reported``: counts the reports; ``pictures``: whether there is a
+    camera's picture."""
 
     serial: int = 0
     phase: Phase = "connecting"
@@ -107,6 +113,7 @@ class PageState:
     recorded: RecordedTrial | None = None
     question: str = ""
     rows: tuple[TrialRow, ...] = ()
+    made_by: tuple[str, ...] = ()
     error_bound_m_s: float | None = None
     start_error_m_s: float | None = None
     assessment: str = ""
@@ -119,7 +126,9 @@ class PageState:
     law: str = ""
     diagnosis: str = ""
     track: tuple[Point, ...] = ()
+    start_pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
     walls: tuple[Point, ...] = ()
+    end_walls_m: tuple[float, float] | None = None
     room_m: float | None = None
     curves: tuple[TrialCurve, ...] = ()
     params: tuple[Parameter, ...] = ()
@@ -130,7 +139,7 @@ class PageState:
 
 def logged(now: PageState, text: str, clock: str) -> PageState:
     """One line more in the log, the oldest go."""
-    line = f"{clock}  {printable(text)}"
+    line = f"{clock}  {printable(on_the_page(text))}"
     return replace(now, log=(*now.log[-LOG_LINES + 1 :], line), logged=now.logged + 1)
 
 
@@ -147,7 +156,7 @@ def by_status(now: PageState, status: BoardStatus) -> PageState:
         next_trial=status.next_trial,
         pending=status.pending_trial,
         beat=status.beat if is_under_way else None,
-        fault=f"{fault.meaning}. {fault.remedy}" if stopped else "",
+        fault=on_the_page(f"{fault.meaning}. {fault.remedy}") if stopped else "",
     )
 
 
@@ -179,15 +188,15 @@ def _changed(now: PageState, event: Event) -> PageState:
             battery_v = now.battery_v if event.battery_v is None else event.battery_v
             return replace(now, beat=event.beat, battery_v=battery_v)
         case Assessed():
-            return replace(now, assessment=_assessment(event))
+            return replace(now, assessment=on_the_page(_assessment(event)))
         case StepBegun(_, _, name, why, takes):
             return _guided(now, GuideStep(name, f"{why} ({takes})"))
         case StepEnded(name, done, words):
-            return _guided(now, GuideStep(name, words, done))
+            return _guided(now, GuideStep(name, on_the_page(words), done))
         case InputChosen():
-            return replace(now, law=input_text(event))
+            return replace(now, law=on_the_page(input_text(event)))
         case TrialDiagnosed():
-            return replace(now, diagnosis=result(event))
+            return replace(now, diagnosis=on_the_page(result(event)))
     return now
 
 
@@ -204,13 +213,29 @@ def _guided(now: PageState, step: GuideStep) -> PageState:
     return replace(now, guide=(*before, step))
 
 
-def by_place(now: PageState, place: Point) -> PageState:
+def by_place(now: PageState, place: Point, heading_rad: float = 0.0) -> PageState:
     """Where the camera sees the fish; what hardly differs is left out."""
-    if now.track:
+    if not now.track:
+        now = replace(now, start_pose=(*place, heading_rad))
+    else:
         x_m, y_m = now.track[-1]
         if abs(place[0] - x_m) + abs(place[1] - y_m) < _TRACK_STEP_M:
             return now
     return replace(now, track=(*now.track[-_TRACK_POINTS + 1 :], place))
+
+
+def end_walls_m(tank_m: float, fish_m: float) -> tuple[float, float] | None:
+    """From the marker of a fish that starts with its tail at the wall behind it; None: the tank is
+    not checked. As far along the fish as on one of LENGTH_M."""
+    if tank_m <= 0:
+        return None
+    behind_m = (1 - NOSE_M / LENGTH_M) * fish_m
+    return -behind_m, tank_m - behind_m
+
+
+def corners(area_m: F64 | None) -> tuple[Point, ...]:
+    """Of the water, as a calibration (n, 2) has them; none when it has none."""
+    return () if area_m is None else tuple((float(x), float(y)) for x, y in area_m)
 
 
 def _cleared(now: PageState, trial: int) -> PageState:
@@ -268,7 +293,7 @@ class Screen:
     def trouble(self, error: Exception) -> None:
         """What is wrong, with what to do."""
         words = str(error) if isinstance(error, TailbeatError) else reason(error)
-        is_new = (words := from_the_page(words)) != self.now.problem
+        is_new = (words := on_the_page(words)) != self.now.problem
         self.set(problem=words)
         if is_new:
             self.say(words)
@@ -286,11 +311,44 @@ def clock() -> str:
     return datetime.now().strftime("%H:%M:%S")
 
 
-def from_the_page(words: str) -> str:
-    """Commands need the port that the page holds."""
-    if "tailbeat session" not in words and "tailbeat params" not in words:
+# Longer ones first. An option that no control has is a command of its own.
+_CONTROLS = tuple(
+    (re.compile(rf"'?\btailbeat {pattern}'?"), control)
+    for pattern, control in (
+        (r"session commission(?! --)", "START with 'Commissioning: again'"),
+        (r"trial run(?: --until \w+)?(?! --)", "START"),
+        (r"trial learn(?! --)", "START"),
+        (r"trial discard --reason WHY", "START, then Discard"),
+        (r"start(?! --)\b", "START"),
+        (r"board clear", "'Clear the fault' on this page"),
+        (r"(?:stop|board disarm)\b(?! --)", "ABORT"),
+        (
+            r"params (?:list|save|set(?: [A-Z_]+(?: [0-9.]+)?)?)(?:,? tailbeat params save)?",
+            "'Parameters' on this page",
+        ),
+        (
+            r"reference upload(?: (?:thesis|trapezoid|cosine)[\w:.,]*\b| \S*\.csv)?",
+            "'Change the reference' on this page",
+        ),
+        (r"report\b(?! --)", "'Write the report' on this page"),
+    )
+)
+_NEEDS_BOARD = re.compile(
+    r"tailbeat (session|params|trial|board|info|stop|start|reference upload|experiment new)\b"
+)
+
+
+def on_the_page(words: str) -> str:
+    """A message that names a command of the terminal, in the words of the page: its own control
+    where it has one, else that the command needs the port which the page holds."""
+    for pattern, control in _CONTROLS:
+        words = pattern.sub(control, words)
+    if _NEEDS_BOARD.search(words) is None or _END in words:
         return words
-    return f"{words.rstrip('.')}. End this page first: Ctrl-C where tailbeat session web runs."
+    return f"{words.rstrip('.')}. {_END}"
+
+
+_END = "End this page before that command: Ctrl-C where tailbeat session web runs."
 
 
 def unexpected(error: Exception) -> str:

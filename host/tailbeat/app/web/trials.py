@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from tailbeat.app.web.state import Screen, TrialCurve
 from tailbeat.board.fish import Fish
@@ -17,6 +20,7 @@ from tailbeat.experiment.current import begin, current, make, require_same
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import name_reference
 from tailbeat.experiment.redo import write_redo
+from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.report.paper import write_report
 
 _CURVES_MAX = 30
@@ -106,18 +110,22 @@ class PageTrials:
         if self.experiment is None or not any(self.experiment.raw.glob("*.ulg")):
             name = self.experiment.name if self.experiment is not None else ""
             self._screen.set(
-                rows=(), curves=(), error_bound_m_s=None, start_error_m_s=None, assessment="",
-                diagnosis="", experiment=name
+                rows=(), made_by=(), curves=(), error_bound_m_s=None, start_error_m_s=None,
+                assessment="", diagnosis="", experiment=name,
             )  # fmt: skip
             return
         self._screen.set(experiment=self.experiment.name)
         try:
             found = analyse(self.experiment)
+            entries = list(self.experiment.journal.entries())
         except (TailbeatError, OSError) as error:
             self._screen.trouble(error)
             return
+        start = None if self._screen.now.track else last_start(entries)
         self._screen.set(
             rows=tuple(found.rows),
+            made_by=made_by(found.rows, entries),
+            start_pose=start or self._screen.now.start_pose,
             curves=tuple(map(_curve_of, found.trials[-_CURVES_MAX:])),
             error_bound_m_s=found.floor_m_s,
             start_error_m_s=found.start_error_m_s,
@@ -169,3 +177,71 @@ class PageTrials:
         experiment = self.experiment
         listed = {Path(row.file).name for row in self._screen.now.rows}
         return None if experiment is None or name not in listed else experiment.raw / name
+
+
+Entry = Mapping[str, Any]
+
+_LAWS = {
+    "p": "P law on the board",
+    "model": "model-based",
+    "best": "best input so far",
+    "uploaded": "uploaded",
+    "": "not known",
+}
+# By the trial's file, which the board wrote: it has the last word. What was uploaded is told apart
+# by the event log.
+_BY_THE_BOARD = {"law": "p", "first": "p", "restored": "best"}
+
+
+@dataclass(frozen=True)
+class _Made:
+    """By the event log: what made an input."""
+
+    law: str
+    why: str
+
+
+def made_by(rows: Sequence[TrialRow], entries: Iterable[Entry]) -> tuple[str, ...]:
+    """What made the input of each trial, in words; with the reason wherever it is another than that
+    of the trial before."""
+    logged = _logged(entries)
+    words, before = [], None
+    for row in rows:
+        made = logged.get(row.file, _Made("", ""))
+        law = _BY_THE_BOARD.get(row.input, made.law or row.input)
+        why = made.why if law == made.law and law != before else ""
+        name = _LAWS.get(law, law)
+        words.append(f"{name} ({why})" if why else name)
+        before = law
+    return tuple(words)
+
+
+def _logged(entries: Iterable[Entry]) -> dict[str, _Made]:
+    """By the file's name. A number comes again after a board was made anew: the last one begun
+    before the trial's file was kept is meant."""
+    chosen: dict[Any, Entry] = {}
+    laws: dict[Any, str] = {}
+    found = {}
+    for entry in entries:
+        trial = entry.get("trial")
+        match entry["what"]:
+            case "input":
+                chosen[trial] = entry
+            case "begun":
+                laws[trial] = str(entry.get("law") or "")
+            case "swum":
+                by = chosen.pop(trial, {})
+                law = laws.pop(trial, "") or str(by.get("law", ""))
+                why = str(by.get("why", "")) if by.get("law") == law else ""
+                found[str(entry.get("file", ""))] = _Made(law, why)
+    return found
+
+
+def last_start(entries: Iterable[Entry]) -> tuple[float, float, float] | None:
+    """x, y and heading of the last trial's start, as the camera had it; None: it never did."""
+    poses = [entry.get("pose") for entry in entries if entry["what"] == "swum"]
+    seen = [pose for pose in poses if pose and pose.get("source") == "camera"]
+    if not seen:
+        return None
+    x_m, y_m, heading_rad = (float(seen[-1][name]) for name in ("x_m", "y_m", "heading_rad"))
+    return x_m, y_m, heading_rad

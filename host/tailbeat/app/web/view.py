@@ -6,9 +6,10 @@ import math
 
 from tailbeat.app.web.state import GuideStep, PageState
 from tailbeat.core.printable import mm
+from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.session.events import StepProgress
-from tailbeat.session.outcome import Travel
+from tailbeat.session.outcome import RecordedTrial, Travel
 
 SILENT_S = 3.0
 _BATTERY_MARGIN_V = 0.3  # above BATT_LOW_V: one more trial, then the next battery
@@ -17,8 +18,8 @@ STATES = {
     "BOOT": "starting",
     "IDLE": "at rest",
     "ARMED": "armed: the tail may start",
-    "RUNNING": "swimming",
-    "SETTLING": "executed, sorting out the last beats",
+    "RUNNING": "trial running",
+    "SETTLING": "executed, evaluating the last beats",
     "LEARNING": "learning",
     "ABORTED": "stopped on request",
     "FAULT": "stopped by a fault",
@@ -29,15 +30,15 @@ PHASES = {
     "working": "Working",
     "preflight": "Getting ready",
     "countdown": "Hands out of the water",
-    "swimming": "Swimming",
+    "swimming": "Trial running",
     "deciding": "Your decision",
     "asking": "A question",
     "failed": "Failed",
 }
 DECISIONS = {
     "keep": ("Keep", "the fish learns from it"),
-    "repeat": ("Repeat", "counts as a repeat, nothing is learned, the same swims again"),
-    "discard": ("Discard", "counts for nothing, the same swims again"),
+    "repeat": ("Repeat", "counts as a repeated trial; the same input is executed again"),
+    "discard": ("Discard", "counts for nothing; the same input is executed again"),
 }
 
 
@@ -45,14 +46,31 @@ def phase_line(now: PageState) -> str:
     """What is going on, as a headline."""
     if now.phase == "swimming" and now.reference_m_s:
         beat = "" if now.beat is None else f": beat {min(now.beat + 1, len(now.reference_m_s))}"
-        return f"Swimming{beat} of {len(now.reference_m_s)}" if beat else "Swimming"
+        running = PHASES["swimming"]
+        return f"{running}{beat} of {len(now.reference_m_s)}" if beat else running
     if now.phase == "countdown" and now.left_s is not None:
         return f"Hands out of the water: {now.left_s:.0f}"
     if now.phase == "deciding" and now.recorded is not None:
-        return f"What becomes of trial {now.recorded.outcome.number}?"
+        return decision_line(now.recorded)
     if now.phase == "idle" and now.fault:
         return "Stopped"
     return PHASES[now.phase]
+
+
+def decision_line(recorded: RecordedTrial) -> str:
+    """What is to be decided."""
+    return f"Keep trial {recorded.outcome.number}?"
+
+
+def announcement(now: PageState) -> str:
+    """What a screen reader says of itself: the phase and what became of the last step. Not the
+    beat, which changes every second."""
+    words = [PHASES[now.phase]]
+    if now.phase == "preflight":
+        words += [step.text for step in now.steps if step.ok is not None][-1:]
+    elif now.phase in ("working", "idle"):
+        words += [f"{step.name}: {step.words}" for step in now.guide][-1:]
+    return ". ".join(words)
 
 
 def steps_shown(now: PageState) -> tuple[StepProgress, ...]:
@@ -77,10 +95,11 @@ def live_line(now: PageState) -> str:
 
 
 def travel_line(travel: Travel) -> str:
-    """How far it will come."""
-    room = f" of {travel.room_m:.2f} m" if math.isfinite(travel.room_m) else ""
-    words = f"it will come about {travel.expected_m:.2f} m{room}, at worst {travel.worst_m:.2f} m"
-    return words if travel.fits else f"NO ROOM: {words}"
+    """How far the next trial goes, and whether the tank is long enough."""
+    words = f"travel distance {travel.expected_m:.2f} m, at worst {travel.worst_m:.2f} m"
+    if math.isfinite(travel.room_m):
+        words += f"; tank clearance {travel.room_m:.2f} m"
+    return words if travel.fits else f"TANK TOO SHORT: {words}"
 
 
 def where_line(now: PageState) -> str:
@@ -96,9 +115,9 @@ def where_line(now: PageState) -> str:
 def next_line(now: PageState) -> str:
     """What START will do."""
     if now.pending is not None and now.phase == "idle":
-        return f"Trial {now.pending} waits: START asks what becomes of it first."
+        return f"Trial {now.pending} is not decided yet: START asks about it first."
     if not now.reference_m_s:
-        return "The board has no reference yet: START gives it the thesis's; another one: below."
+        return "The board has no reference yet. START uploads the thesis's; choose another below."
     line = f"START: trial {now.next_trial}, iteration {max(now.iteration, 1)}"
     if now.phase not in ("idle", "connecting"):
         return ""
@@ -114,10 +133,10 @@ def battery(now: PageState) -> tuple[str, str]:
 
 
 def imu(now: PageState) -> tuple[str, str]:
-    """Likewise; ``IMU`` is the motion sensor in the fish."""
+    """Likewise."""
     if now.imu_well is None:
-        return "motion sensor ?", "unknown"
-    return ("motion sensor ok", "well") if now.imu_well else ("motion sensor: look", "low")
+        return "IMU ?", "unknown"
+    return ("IMU ok", "well") if now.imu_well else ("IMU: fault", "low")
 
 
 def link(now: PageState, silent_s: float | None) -> tuple[str, str]:
@@ -132,7 +151,7 @@ def link(now: PageState, silent_s: float | None) -> tuple[str, str]:
 
 
 def chips(now: PageState, silent_s: float | None) -> tuple[tuple[str, str], ...]:
-    """Link, battery and motion sensor; the last two are not well because they once were."""
+    """Link, battery and IMU; the last two are not well because they once were."""
     of_board = (battery(now), imu(now))
     if is_stale(now, silent_s):
         of_board = (of_board[0][0], "unknown"), (of_board[1][0], "unknown")
@@ -144,13 +163,9 @@ def is_stale(now: PageState, silent_s: float | None) -> bool:
     return now.phase == "connecting" or silent_s is None or silent_s >= SILENT_S
 
 
-def straight(row: TrialRow) -> str:
-    """Whether it swam straight; empty = not known."""
-    found = row.straight
-    if found is None:
-        return ""
-    off_deg = math.degrees(found.worst_yaw_rad)
-    return f"crooked, {off_deg:+.0f}°" if found.crooked else "straight"
+def heading_drift(found: HeadingDrift) -> str:
+    """The largest one of a trial."""
+    return f"heading drift {math.degrees(found.worst_yaw_rad):+.0f}°"
 
 
 def row_line(row: TrialRow) -> str:

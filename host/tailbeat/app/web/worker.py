@@ -21,7 +21,7 @@ from tailbeat.app.web import state, view
 from tailbeat.app.web.inbox import Ask, Asks, Commission
 from tailbeat.app.web.operator import PageOperator
 from tailbeat.app.web.picture import LastPicture
-from tailbeat.app.web.state import PageState, Phase, Screen
+from tailbeat.app.web.state import PageState, Phase, Point, Screen
 from tailbeat.app.web.trials import PageTrials
 from tailbeat.board.fish import Fish
 from tailbeat.board.provision import connect_notice
@@ -72,7 +72,8 @@ class Worker:
     what was wrong in ``now.problem`` meanwhile. ``root``: of new experiments. ``open_camera`` opens
     the camera for each series. ``limits``: of the preflight checks. ``look_s``: how long a
     request may lie; ``retry_s``: between two tries to connect. ``stream``: where what the board
-    reports is sent. ``picture``: the camera's last one, if it takes any."""
+    reports is sent. ``picture``: the camera's last one, if it takes any. ``walls``: corners of the
+    water in the camera's frame, if they are known."""
 
     connect: Callable[[], Fish]
     root: Path
@@ -80,6 +81,7 @@ class Worker:
     limits: PreflightLimits = field(default_factory=PreflightLimits)
     stream: StreamAddress | None = None
     picture: LastPicture | None = None
+    walls: tuple[Point, ...] = ()
     wall_s: Callable[[], float] = time.monotonic
     look_s: float = 0.05
     retry_s: float = 1.0
@@ -87,7 +89,7 @@ class Worker:
     def __post_init__(self) -> None:
         self._asks = Asks()
         self.screen = Screen()
-        self.screen.set(pictures=self.picture is not None)
+        self.screen.set(pictures=self.picture is not None, walls=self.walls)
         self.trials = PageTrials(self.root, self.screen)
         self._requests: dict[str, Callable[..., object]] = {
             "swim": self._swim,
@@ -144,7 +146,7 @@ class Worker:
         dropped = self._asks.open(*open_)
         self.screen.set(phase=phase, **changes)
         for ask in dropped:
-            self.screen.say(f"'{ask.kind}' was asked for, but not done: ask again")
+            self.screen.say(f"'{ask.kind}' was requested but not executed: press again")
 
     # The thread.
 
@@ -211,7 +213,7 @@ class Worker:
         if self._asks.abort:
             self._stop_tail(fish)
         if self._restarted:
-            self.screen.say("the board has restarted")
+            self.screen.say("the board restarted")
             fish.clock.sync()
             self._greet(fish)
         if self._imu_changed:
@@ -296,7 +298,7 @@ class Worker:
 
     def look_at_reference(self, fish: Fish) -> None:
         record = fish.reference_record()
-        params = fish.params.values("AMP_MAX_RAD", "BATT_LOW_V")
+        params = fish.params.values("AMP_MAX_RAD", "BATT_LOW_V", "TANK_LEN_M", "FISH_LEN_M")
         found = decode_reference(record) if record is not None else None
         speeds = tuple(map(float, found.speed_m_s)) if found else ()
         if speeds != self.now.reference_m_s:
@@ -307,6 +309,7 @@ class Worker:
             beat_s=found.beat_s if found else 1.0,
             amplitude_max_rad=params["AMP_MAX_RAD"],
             battery_low_v=params["BATT_LOW_V"],
+            end_walls_m=state.end_walls_m(params["TANK_LEN_M"], params["FISH_LEN_M"]),
         )
 
     def _look_ahead(self, fish: Fish) -> None:
@@ -319,7 +322,7 @@ class Worker:
         except LinkLostError:
             raise
         except TailbeatError as error:
-            travel, room_m = str(error), None
+            travel, room_m = state.on_the_page(str(error)), None
         limit = fish.params.get("AMP_MAX_RAD").value
         self.screen.set(travel=travel, room_m=room_m, amplitude_max_rad=limit)
 
@@ -347,7 +350,7 @@ class Worker:
         else:
             self.screen.say(end.words)
         if end.why == "stopped":
-            self.screen.set(problem=state.from_the_page(end.words))
+            self.screen.set(problem=state.on_the_page(end.words))
         if commission != "never" and end.rounds:
             self.trials.report()
 
@@ -368,7 +371,7 @@ class Worker:
         place = partial(self.trials.for_series, fish)
         end = run_start(fish, operator, asked, place, camera, guard)
         if end.series is None:
-            self.screen.set(problem=state.from_the_page(end.steps[-1].words))
+            self.screen.set(problem=state.on_the_page(end.steps[-1].words))
         return end.series
 
     def _seen_by(self, guard: Guard | None) -> Guard:
@@ -376,7 +379,7 @@ class Worker:
 
         def see(seen: object) -> None:
             if isinstance(seen, Frame):
-                shown = state.by_place(self.now, (seen.x_m, seen.y_m))
+                shown = state.by_place(self.now, (seen.x_m, seen.y_m), seen.heading_rad)
                 if shown is not self.now:
                     self.screen.show(shown)
 

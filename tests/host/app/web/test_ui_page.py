@@ -13,6 +13,7 @@ from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.events import StepBegun, StepEnded, StepProgress, TrialStarted
+from tailbeat.session.outcome import Travel
 
 NOW = PageState(
     phase="idle",
@@ -110,28 +111,80 @@ def test_the_error_of_each_beat_with_what_spoils_it() -> None:
     assert (limit["data"], missing["data"]) == ([[1, 10.0], [2, 10.0]], [[3, 0]])
     assert [line["yAxis"] for line in bars["markLine"]["data"]] == [12.0, -12.0]
     assert options["yAxis"]["max"] >= 12.0 and options["yAxis"]["min"] <= -12.0
+    cut = curve(3, amplitude_rad=(0.1, 0.5, None, None))
+    options = charts.beat_error_chart(replace(now, curves=(cut,)))
+    assert [one["name"] for one in options["series"]] == ["error", "at the limit"], "not executed"
     under_way = replace(NOW, phase="swimming", speed_m_s=(None,) * 4)
     assert len(charts.beat_error_chart(under_way)["series"]) == 1, "what comes is not missing"
 
 
-def test_the_tank_holds_walls_path_and_room() -> None:
+def test_the_tank_holds_walls_path_and_clearance() -> None:
     walls = ((-0.1, -0.5), (3.0, -0.5), (3.0, 0.5), (-0.1, 0.5))
-    now = replace(NOW, track=((0.2, 0.0), (0.9, 0.05)), walls=walls, room_m=2.6)
+    start = 0.2, 0.0, math.radians(10)
+    track = (0.2, 0.0), (0.9, 0.05)
+    now = replace(NOW, track=track, walls=walls, start_pose=start, room_m=2.6)
     options = charts.tank_chart(now)
-    names = [one["name"] for one in options["series"]]
-    assert names == ["walls", "path", "start", "fish"]
-    assert options["series"][1]["markLine"]["data"] == [{"xAxis": 2.8}]
-    assert options["series"][3]["data"] == [[0.9, 0.05]]
+    wall, path, begun, fish = options["series"]
+    assert [one["name"] for one in options["series"]] == ["wall", "path", "start", "fish"]
+    assert wall["data"] == [list(one) for one in (*walls, walls[0])]
+    assert path["markLine"]["data"] == [{"xAxis": 2.8}]
+    assert (begun["data"], begun["symbolRotate"]) == ([[0.2, 0.0]], -100.0)
+    assert fish["data"] == [[0.9, 0.05]]
     assert options["xAxis"]["min"] <= -0.1 and options["xAxis"]["max"] >= 3.0
     assert options["yAxis"]["inverse"] and options["yAxis"]["max"] >= 0.5
     assert charts.tank_chart(NOW)["series"][0]["data"] == []
 
 
+def test_without_a_calibration_the_tank_has_two_end_walls() -> None:
+    """Of a fish of 36 cm: its tail at the wall behind it, its marker 16 cm ahead of that."""
+    ends = state.end_walls_m(3.0, 0.36)
+    assert ends == pytest.approx((-0.16, 2.84))
+    assert state.end_walls_m(0.0, 0.36) is None
+    now = replace(NOW, end_walls_m=ends, start_pose=(0.5, 0.1, 0.0), room_m=2.64)
+    behind, ahead, path, _ = charts.tank_chart(now)["series"]
+    assert [x for x, _ in behind["data"]] == [0.34] * 2
+    assert [x for x, _ in ahead["data"]] == [3.34] * 2
+    nose_m = path["markLine"]["data"][0]["xAxis"] + 0.2
+    assert nose_m == pytest.approx(3.34), "the clearance ends where the nose is at the wall"
+
+
+def test_charts_in_words() -> None:
+    now = replace(NOW, trial=3, curves=(curve(3),), error_bound_m_s=0.0107, room_m=2.64)
+    now = replace(now, rows=(row(1, 0.073), row(2, 0.0433), row(3, 0.0121, "discard")))
+    assert charts.speed_text(now) == (
+        "reference 10.0 to 70.0 mm/s over 4 beats; measured 0.0 to 40.0 mm/s in 2 beats, the last"
+        " 40.0"
+    )
+    assert charts.beat_error_text(now) == (
+        "largest 10.0 mm/s at beat 2; 2 beats measured; 2 beats at the amplitude limit; error bound"
+        " 10.7 mm/s"
+    )
+    assert charts.amplitude_text(now) == "6 to 17 degrees over 2 beats; limit 29 degrees"
+    assert charts.error_text(now) == (
+        "iteration 1 73.0, iteration 2 43.3 mm/s; error bound 10.7 mm/s"
+    )
+    seen = replace(now, track=((0.0, 0.0), (0.9, -0.05)), end_walls_m=(-0.16, 2.84))
+    assert charts.tank_text(seen) == (
+        "tank 3.00 m long; fish 0.90 m ahead of its start, 0.05 m to the left;"
+        " tank clearance 2.64 m"
+    )
+    assert charts.compare_text(None, curve(3)).startswith("trial 3: measured")
+
+
+def test_what_is_said_does_not_change_with_each_beat() -> None:
+    swims = replace(NOW, phase="swimming", beat=1)
+    assert view.announcement(swims) == view.announcement(replace(swims, beat=2)) == "Trial running"
+    ready = after(replace(NOW, phase="working"), StepEnded("health", True, "well"), "12:00:00")
+    assert view.announcement(ready) == "Working. health: well"
+
+
 def test_the_path_forgets_what_hardly_differs() -> None:
-    now = state.by_place(NOW, (0.0, 0.0))
+    now = state.by_place(NOW, (0.0, 0.0), 0.3)
     assert state.by_place(now, (0.001, 0.001)) is now
     assert state.by_place(now, (0.01, 0.0)).track == ((0.0, 0.0), (0.01, 0.0))
-    assert after(state.by_place(now, (0.01, 0.0)), TrialStarted(4, 3), "12:00:00").track == ()
+    assert now.start_pose == (0.0, 0.0, 0.3)
+    begun = after(state.by_place(now, (0.01, 0.0)), TrialStarted(4, 3), "12:00:00")
+    assert (begun.track, begun.start_pose) == ((), (0.0, 0.0, 0.3))
 
 
 def test_two_trials_over_each_other() -> None:
@@ -177,20 +230,24 @@ def test_nothing_is_well_that_is_not_heard_of() -> None:
     for now, silent_s in ((NOW, 12.3), (replace(NOW, phase="connecting"), 0.1)):
         link, *of_board = view.chips(now, silent_s)
         assert link[1] == "low"
-        assert of_board == [("battery 7.9 V", "unknown"), ("motion sensor ok", "unknown")]
+        assert of_board == [("battery 7.9 V", "unknown"), ("IMU ok", "unknown")]
 
 
 def test_start_says_what_it_will_do() -> None:
-    text = view.next_line(replace(NOW, travel="it will come about 1.96 m of 2.64 m"))
-    assert text == "START: trial 4, iteration 3; it will come about 1.96 m of 2.64 m"
-    assert "waits" in view.next_line(replace(NOW, pending=3))
+    travel = view.travel_line(Travel(1.96, 2.1, 2.64, "the identified fish"))
+    text = view.next_line(replace(NOW, travel=travel))
+    assert text == (
+        "START: trial 4, iteration 3; travel distance 1.96 m, at worst 2.10 m;"
+        " tank clearance 2.64 m"
+    )
+    assert "TOO SHORT" in view.travel_line(Travel(2.7, 2.9, 2.64, "the identified fish"))
+    assert "not decided" in view.next_line(replace(NOW, pending=3))
     assert "no reference" in view.next_line(replace(NOW, reference_m_s=()))
 
 
 def test_rows_in_words() -> None:
     bent = HeadingDrift(0.1, math.radians(-21), 0.2, "imu")
-    assert view.straight(row(1, 0.01, straight=bent)) == "crooked, -21°"
-    assert view.straight(row(1, 0.01)) == ""
+    assert view.heading_drift(bent) == "heading drift -21°"
     cut = row(1, 0.01, "discard", reason="a wave", end="aborted:ABORT_COMMAND")
     assert view.row_line(cut) == "discarded: a wave; aborted: abort_command"
     assert view.row_line(row(1, 0.01, "")) == "not decided"

@@ -385,7 +385,7 @@ def test_a_link_that_is_lost_comes_back(ready: Tank) -> None:
     ready.lines[-1].cut = True
     now = ready.wait(lambda now: now.phase == "connecting" and "nobody" in now.problem)
     assert now.problem == "nobody answers. Switch it on."
-    with pytest.raises(InputError, match="cannot swim now"):
+    with pytest.raises(InputError, match="none can start now"):
         ready.worker.ask("swim")
     go.set()
     now = ready.wait(lambda now: now.phase == "idle")

@@ -59,6 +59,9 @@ def test_from_an_unknown_fish_to_a_report(worker: Worker) -> None:
     assert None not in now.curves[0].speed_m_s and "model-based" in now.law
     assert now.reported == 1 and worker.trials.report_page() is not None
     assert now.track and now.room_m == pytest.approx(2.64, abs=0.01)
+    assert now.end_walls_m == pytest.approx((-0.16, 2.84), abs=0.01)
+    assert now.start_pose[:2] == pytest.approx((0.0, 0.0), abs=0.05)
+    assert now.made_by[0].startswith("model-based (")
     trials = worker.trials.experiment
     again, asked = start_on_page(worker, "1", "new")
     assert len(again.rows) == 2 and worker.trials.experiment is trials
