@@ -1,267 +1,36 @@
-"""The live page in a real browser (headless Chromium), against a simulated fish in a process of its
-own: connect, learn, abort, pull a log. Waits are for conditions, each bounded.
-
-TAILBEAT_NO_BROWSER=1 skips what needs the browser, where there is none.
+"""The live page in a real browser against a simulated fish in a process of its own: connect, learn,
+abort, pull a log; who may open it; what a load of it costs.
 """
 
 from __future__ import annotations
 
 import http.client
 import json
-import os
-import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
 
 from tailbeat.board.fish import Fish
 
-START = "from tailbeat.app.cli import main; main()"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-LAPTOP, PHONE = (1366, 768), (390, 844)
-PATIENCE_S = 600.0
-SETTLED_S = 60.0  # what opens has opened long before, on a busy machine too
-AGAIN_S = 30.0  # until somebody presses a button once more
-SPEED = 10.0  # much faster, and a starved page loses the link by the board's own clock
+from .accessibility import require_accessible
+from .browser import LAPTOP, PATIENCE_S, PHONE, SPEED, START, Browser, Page, browsing, page_of
+
 NOBODY = "tcp:127.0.0.1:1"
-FOLDER = "TAILBEAT_PICTURES"  # of the pictures, where somebody wants to look at them
-
-
-@contextmanager
-def page_of(address: str, root: Path, *options: str) -> Iterator[tuple[str, Any]]:
-    """(URL, process) of 'tailbeat session web' on any free port; ended by Ctrl-C."""
-    command = [sys.executable, "-c", START, "ui", "--connect", address, "--port", "0", "--json"]
-    command += ["--root", str(root / "experiments"), *options]
-    own = {"TAILBEAT_LOGBOOK": str(root / "fish"), "TAILBEAT_KEYS": str(root / "keys")}
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | own
-    ) as process:
-        try:
-            assert process.stdout is not None
-            line = process.stdout.readline()
-            assert line, process.stderr and process.stderr.read()
-            yield json.loads(line)["urls"][0], process
-        finally:
-            process.send_signal(signal.SIGINT)
-            try:
-                process.wait(PATIENCE_S)
-            finally:
-                process.kill()
-
-
-class Browser:
-    """What a person does with it."""
-
-    def __init__(self, driver: Any, downloads: Path) -> None:
-        self.driver = driver
-        self.downloads = downloads
-
-    def size(self, width: int, height: int) -> None:
-        phone = width < 600
-        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": phone}
-        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-
-    def ask(self, script: str) -> Any:
-        return self.driver.execute_script(f"return {script}")
-
-    def until(self, script: str, patience_s: float = PATIENCE_S) -> None:
-        from selenium.common.exceptions import TimeoutException
-        from selenium.webdriver.support.ui import WebDriverWait
-
-        try:
-            WebDriverWait(self.driver, patience_s, 0.03).until(lambda _: self.ask(script))
-        except TimeoutException:
-            shown = self.ask("document.body.innerText")
-            raise AssertionError(f"never: {script}\nthe page shows:\n{shown}") from None
-
-    def phase(self, *phases: str) -> str:
-        """The first of these that is reached; fails at once when the worker has failed."""
-        ends = json.dumps([*phases, "failed"])
-        self.until(f"{ends}.includes(document.querySelector('.root')?.dataset.phase)")
-        reached = str(self.ask("document.querySelector('.root').dataset.phase"))
-        if reached == "failed" and "failed" not in phases:
-            shown = self.ask("document.body.innerText")
-            raise AssertionError(f"failed before {phases}\nthe page shows:\n{shown}")
-        return reached
-
-    def click(self, selector: str) -> None:
-        """As soon as it can be: what unfolds or opens moves for a moment."""
-        from selenium.common.exceptions import (
-            ElementClickInterceptedException,
-            ElementNotInteractableException,
-            StaleElementReferenceException,
-        )
-        from selenium.webdriver.common.by import By
-
-        moving = (
-            ElementClickInterceptedException,
-            ElementNotInteractableException,
-            StaleElementReferenceException,
-        )
-        found = f"document.querySelector({json.dumps(selector)})"
-        for _ in range(100):
-            self.until(f"{found}?.checkVisibility() && !{found}.disabled")
-            self.ask(f"{found}?.scrollIntoView({{block: 'nearest'}})")
-            try:
-                self.driver.find_element(By.CSS_SELECTOR, selector).click()
-                return
-            except moving as error:
-                last = error
-            self.until("new Promise(done => requestAnimationFrame(() => done(true)))")
-        raise last
-
-    def press(self, selector: str, then: str) -> None:
-        """Clicks until ``then`` holds. What is pressed while the page's connection to the laptop is
-        being made anew is lost, and a person presses again."""
-        for patience_s in (AGAIN_S, AGAIN_S, PATIENCE_S):
-            self.click(selector)
-            try:
-                self.until(then, patience_s)
-                return
-            except AssertionError:
-                if patience_s == PATIENCE_S:
-                    raise
-
-    def type(self, selector: str, text: str) -> None:
-        from selenium.webdriver.common.by import By
-        from selenium.webdriver.common.keys import Keys
-
-        field = self.driver.find_element(By.CSS_SELECTOR, selector)
-        field.send_keys(Keys.CONTROL, "a")
-        field.send_keys(text)
-
-    def choose(self, selector: str, value: str) -> None:
-        """In a select of the browser's own."""
-        from selenium.webdriver.common.by import By
-        from selenium.webdriver.support.ui import Select
-
-        Select(self.driver.find_element(By.CSS_SELECTOR, f"{selector} select")).select_by_value(
-            value
-        )
-
-    def text(self, selector: str) -> str:
-        return str(self.ask(f"document.querySelector({json.dumps(selector)}).innerText"))
-
-    def chart(self, name: str, series: int = 0, length: int = 0) -> list[Any]:
-        """The data that a chart has drawn; ``length``: once so many of them are there."""
-        element = f"document.querySelector('.{name}')"
-        option = f"getElement(+{element}.id.slice(1)).chart.getOption()"
-        data = f"{option}.series[{series}].data"
-        self.until(f"{data}.filter(v => v !== null).length >= {length}", 20.0)
-        return list(self.ask(data))
-
-    def looks(self, name: str) -> None:
-        """At both sizes; nothing may stick out to the side, and ABORT is in reach."""
-        for what, (width, height) in (("phone", PHONE), ("laptop", LAPTOP)):
-            self.size(width, height)
-            self.until(f"window.innerWidth === {width}")
-            assert self.ask("document.documentElement.scrollWidth") <= width, name
-            box = self.ask("document.getElementById('abort').getBoundingClientRect().toJSON()")
-            assert box["bottom"] <= height, name
-            assert box["height"] >= 60, name
-            if what == "phone":
-                assert box["top"] > 0.6 * height  # where the thumb is
-            if folder := os.environ.get(FOLDER):
-                self.driver.save_screenshot(str(Path(folder) / f"{name}-{what}.png"))
-
-    def require_large_targets(self) -> None:
-        """Whatever is to be touched is 44 px high and wide, once what opens has opened."""
-        small = (
-            "[...document.querySelectorAll('button, a, .q-toggle, .q-field, .q-item')]"
-            ".filter(e => e.checkVisibility())"
-            ".filter(e => e.getBoundingClientRect().height < 44"
-            " || e.getBoundingClientRect().width < 44).map(e => e.outerHTML.slice(0, 120))"
-        )
-        try:
-            self.until(f"{small}.length === 0", SETTLED_S)
-        except AssertionError:
-            left = self.ask(small)
-            assert left == [], f"too small to touch: {left}"
-
-    def download(self, selector: str) -> Path:
-        from selenium.webdriver.support.ui import WebDriverWait
-
-        name = self.ask(f"document.querySelector({json.dumps(selector)}).download")
-        self.click(selector)
-        path = self.downloads / str(name)
-        WebDriverWait(self.driver, PATIENCE_S, 0.05).until(lambda _: path.is_file())
-        return path
-
-    def complaints(self) -> list[str]:
-        """Errors in the console, without those the abrupt end of a server brings."""
-        return [entry["message"] for entry in self.driver.get_log("browser")]
-
-    def strangers(self) -> set[str]:
-        """Hosts other than this computer that anything was asked of."""
-        hosts = set()
-        for entry in self.driver.get_log("performance"):
-            message = json.loads(entry["message"])["message"]
-            if message["method"] == "Network.requestWillBeSent":
-                url = urlsplit(message["params"]["request"]["url"])
-                hosts.add(url.hostname if url.scheme in ("http", "https", "ws") else None)
-            elif message["method"] == "Network.webSocketCreated":
-                hosts.add(urlsplit(message["params"]["url"]).hostname)
-        assert "127.0.0.1" in hosts
-        return {str(host) for host in hosts - {"127.0.0.1", None}}
-
-
-def _programs() -> tuple[str, str]:
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    driver = shutil.which("chromedriver")
-    if browser is None or driver is None:
-        if os.environ.get("TAILBEAT_NO_BROWSER") == "1":
-            pytest.skip("no chromium here, and TAILBEAT_NO_BROWSER=1")
-        pytest.fail(
-            "the page is tested in a real browser, and chromium or chromedriver is missing: run"
-            " tools/bootstrap test, or set TAILBEAT_NO_BROWSER=1 to go without"
-        )
-    return browser, driver
 
 
 @pytest.fixture
 def browser(tmp_path: Path) -> Iterator[Browser]:
-    program, driver = _programs()
-    from selenium import webdriver
-
-    downloads = tmp_path / "downloads"
-    downloads.mkdir()
-    options = webdriver.ChromeOptions()
-    options.binary_location = program
-    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage",
-                     "--hide-scrollbars", "--disable-background-networking"):  # fmt: skip
-        options.add_argument(argument)
-    options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
-    options.set_capability("goog:loggingPrefs", {"browser": "SEVERE", "performance": "ALL"})
-    chrome = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
-    try:
-        yield Browser(chrome, downloads)
-    finally:
-        chrome.quit()
-
-
-@dataclass(frozen=True)
-class Page:
-    """'tailbeat session web' of a simulated fish. ``fish``, ``process``: of the two."""
-
-    address: str
-    fish: Any
-    url: str
-    process: Any
-    root: Path
-
-    def journalled(self, what: str) -> list[dict[str, Any]]:
-        """Of all experiments."""
-        journals = sorted((self.root / "experiments").glob("*/journal.jsonl"))
-        entries = [json.loads(line) for j in journals for line in j.read_text().splitlines()]
-        return [entry for entry in entries if entry["what"] == what]
+    with browsing(tmp_path / "downloads") as browser:
+        yield browser
 
 
 @pytest.fixture(scope="module")
@@ -346,7 +115,9 @@ def test_a_taken_port_is_told(page: Page) -> None:
 def _start(browser: Browser, phase: str) -> None:
     """Presses START until ``phase`` begins. A link that breaks at that moment drops the request;
     the page says so once it has connected again, and START is pressed again."""
-    dropped = "document.querySelector('.log').innerText.split('but not done: ask again').length"
+    dropped = (
+        "document.querySelector('.log').innerText.split('but not executed: press again').length"
+    )
     ends = json.dumps([phase, "failed"])
     while True:
         before = browser.ask(dropped)
@@ -384,6 +155,8 @@ def test_a_session(page: Page, browser: Browser) -> None:
     browser.phase("idle")
     assert "SIMULATED" in browser.text(".top")
     assert "8.2 V" in browser.text(".chip.battery")
+    _costs(browser)
+    _moves_little(browser)
     browser.looks("fresh")
     browser.choose(".commission", "never")
     browser.choose(".until", "1")
@@ -410,6 +183,29 @@ def test_a_session(page: Page, browser: Browser) -> None:
     assert [entry["text"] for entry in page.journalled("note")] == ["water 21 degrees"]
 
 
+REQUESTS_MAX, BYTES_MAX = 30, 3_000_000
+
+
+def _costs(browser: Browser) -> None:
+    """Of a first load, with an empty cache: requests and bytes on the wire."""
+    loaded = "performance.getEntries().filter(one => 'transferSize' in one)"
+    sizes = browser.ask(f"{loaded}.map(one => [one.name, one.transferSize])")
+    requests, sent = len(sizes), sum(size for _, size in sizes)
+    print(f"a load: {requests} requests, {sent} bytes")
+    assert 1 < requests <= REQUESTS_MAX, sizes
+    assert 100_000 < sent <= BYTES_MAX, sizes
+
+
+def _moves_little(browser: Browser) -> None:
+    """Who wishes for less motion gets none."""
+    moves = "document.querySelector('.start .q-btn__content')"
+    lasts = f"parseFloat(getComputedStyle({moves}).transitionDuration)"
+    assert browser.ask(lasts) > 0
+    browser.colours("light", prefers_reduced_motion="reduce")
+    assert browser.ask(lasts) == 0
+    browser.colours("light")
+
+
 def _note(browser: Browser) -> None:
     """Before there is an experiment."""
     browser.type(".note input", "water 21 degrees")
@@ -426,7 +222,7 @@ def _learn(browser: Browser) -> None:
     browser.until("document.querySelectorAll('.steps .done').length >= 3")
     browser.looks("preflight")
     browser.phase("deciding")
-    browser.looks("deciding")
+    browser.looks("deciding", partial(require_accessible, browser))
     browser.require_large_targets()
     _choose(browser, "keep")
     assert len(browser.chart("speed-chart", 1, 22)) == 22
@@ -447,7 +243,7 @@ def _learn(browser: Browser) -> None:
     browser.press(".write-report", "document.querySelector('.open-report').checkVisibility()")
     assert "<h1" in browser.ask("fetch('/report').then(answer => answer.text())")
     browser.require_large_targets()
-    browser.looks("learned")
+    browser.looks("learned", partial(require_accessible, browser))
 
 
 def _begin_anew(browser: Browser) -> None:
@@ -466,11 +262,9 @@ def _begin_anew(browser: Browser) -> None:
 
 def _abort(browser: Browser) -> None:
     """In the middle of the fourth, with the key of a laptop; dropped with a reason."""
-    from selenium.webdriver.common.action_chains import ActionChains
-    from selenium.webdriver.common.keys import Keys
-
     _start(browser, "swimming")
     browser.until("/beat ([4-9]|[0-9]{2,}) of/.test(document.querySelector('.headline').innerText)")
+    browser.require_abort(*LAPTOP)
     ActionChains(browser.driver).send_keys(Keys.ESCAPE).perform()
     browser.phase("deciding")
     assert browser.ask("document.querySelector('.root').dataset.state") == "ABORTED"
@@ -527,3 +321,4 @@ def _end_in_a_trial(browser: Browser, page: Any) -> None:
     assert asked_for == []
     browser.until("document.body.classList.contains('cut')")
     assert "ABORT may not arrive" in browser.text("#cut")
+    browser.require_abort(*LAPTOP)
