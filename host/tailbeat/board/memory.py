@@ -13,7 +13,6 @@ from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError, Refused, TransferError
 from tailbeat.core.faults import BAD_DATA, BAD_FILE, NO_REFERENCE, refusal
 from tailbeat.core.native import ffi, lib
-from tailbeat.core.packed_log import unpack_log
 from tailbeat.core.records import Amplitudes
 from tailbeat.core.reference import Reference
 from tailbeat.link import _dialect as mavlink
@@ -315,12 +314,12 @@ class BoardMemory:
         local = folder / f"{number:04d}.ulg"
         stored = f"{TRIALS}/{number:04d}"
         try:
-            self.ftp.pull(f"{stored}.ulz", local, progress, unpack_log)
+            self.ftp.pull(f"{stored}.ulz", local, progress, records.unpack_log)
         except FtpError as error:
             if error.code != _FTP_NOT_FOUND:
                 raise
             # earlier firmware has no packed logs
-            self.ftp.pull(f"{stored}.ulg", local, progress, unpack_log)
+            self.ftp.pull(f"{stored}.ulg", local, progress, records.unpack_log)
         return local
 
     def _record(self, path: str) -> bytes | None:

@@ -36,6 +36,8 @@ _UNVISITED = b"\1\0"  # version of a learned record without visits
 _INPUT = slice(26, 28)  # of a learned record: what made its amplitudes
 _FIXED_BYTES = 128  # more than the header and fixed fields of any record
 
+_PACKED_MAGIC = b"ULz1"
+
 
 @dataclass(frozen=True)
 class ReferenceRecord:
@@ -277,3 +279,24 @@ def _record(made: type[T], struct: Any) -> T:
     values = {f.name: getattr(struct, f.name) for f in fields(made)}  # type: ignore[arg-type]
     arrays = {f.name for f in fields(made) if f.type == "F32"}  # type: ignore[arg-type]
     return made(**{n: _array(v, struct.beats) if n in arrays else v for n, v in values.items()})
+
+
+def unpack_log(content: bytes) -> bytes:
+    """Unpack a log of a trial, with the board's own code.
+
+    Parameters
+    ----------
+    content : bytes
+        The stored file. A log of earlier firmware is not packed.
+
+    Returns
+    -------
+    bytes
+        The ULog; ``content`` itself if it is not packed. Pieces that cannot be unpacked are zeros.
+    """
+    if content[: len(_PACKED_MAGIC)] != _PACKED_MAGIC:
+        return content
+    room = lib.NATIVE_PACKED_GAIN_MAX * len(content)
+    ulog = ffi.new("uint8_t[]", room)
+    length = lib.unpacker_all(content, len(content), ulog, room, ffi.new("bool *"))
+    return bytes(ffi.buffer(ulog, length))

@@ -12,9 +12,8 @@ from tailbeat.core.errors import LinkLostError, Refused, TailbeatError
 from tailbeat.core.faults import NOT_FRESH, NOT_SIGNED, UNKNOWN_COMMAND, WRONG_STATE, refusal
 from tailbeat.core.printable import printable
 from tailbeat.link import _dialect as mavlink
-from tailbeat.link.round_trip import RoundTrip
 from tailbeat.link.signing import Signing
-from tailbeat.link.transport import Transport
+from tailbeat.link.transport import RoundTrip, Transport
 
 Message = Any  # pymavlink's message classes carry their fields dynamically
 Where = Callable[[Message], bool]

@@ -20,6 +20,10 @@ _TEXT_SHARE_MIN, _WORDY_SHARE_MIN, _TEXT_BYTES_MIN = 0.9, 0.4, 8
 _GARBAGE_BYTES_MIN = 2
 _GARBAGE_SPAN_S = 0.5  # a crackle when the port opens is not a board that goes on talking
 
+_FIRST_S, _LEAST_S, _MOST_S = 0.25, 0.08, 2.0
+_BACKOFF = 1.5
+_PATIENT_FROM = 3  # tries; two that are lost say little about the line
+
 
 @dataclass
 class Hearing:
@@ -158,3 +162,29 @@ class Transport(Protocol):
 
     def close(self) -> None:
         """Gives the link up; may be called twice."""
+
+
+class RoundTrip:
+    """How long an answer takes on this link: mean and spread, as TCP keeps them."""
+
+    def __init__(self) -> None:
+        self._mean_s = -1.0
+        self._spread_s = 0.0
+
+    def heard(self, took_s: float, tries: int = 1) -> None:
+        """An answer came so long after the last of so many ``tries``; which of them it answers is
+        not known, so that more than one tells something only as long as nothing is known."""
+        if self._mean_s < 0:
+            self._mean_s, self._spread_s = took_s, took_s / 2
+        if tries > 1:
+            return
+        self._spread_s += (abs(took_s - self._mean_s) - self._spread_s) / 4
+        self._mean_s += (took_s - self._mean_s) / 8
+
+    def patience_s(self, tries: int) -> float:
+        """How long to wait for the answer to the last of so many ``tries``."""
+        wait_s = self._mean_s + 4 * self._spread_s if self._mean_s >= 0 else _FIRST_S
+        wait_s = max(wait_s, _LEAST_S)
+        for _ in range(_PATIENT_FROM, tries):
+            wait_s = min(wait_s * _BACKOFF, max(wait_s, _MOST_S))
+        return wait_s

@@ -10,7 +10,7 @@ import pytest
 
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import TransferError
-from tailbeat.core.packed_log import unpack_log
+from tailbeat.core.records import unpack_log
 from tailbeat.core.trial_file import parse_trial
 from tailbeat.link.ftp.wire import NOT_FOUND, FtpError
 from tailbeat.session.trial import run_trial

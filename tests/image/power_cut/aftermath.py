@@ -10,7 +10,6 @@ from littlefs import LittleFS
 
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
-from tailbeat.core.packed_log import unpack_log
 from tailbeat.core.trial_file import parse_trial
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.emulated import EmulatedBoard
@@ -122,7 +121,7 @@ def check_trial_files(session: Session, tick: int, seen: View, files: dict[str, 
     """A trial's file is whole once the trial is stored, until then a readable beginning of it."""
     for trial, whole in session.trial_files.items():
         stored = files.get(f"/trials/{trial:04d}.ulg")
-        data = None if stored is None else unpack_log(stored)
+        data = None if stored is None else records.unpack_log(stored)
         since_s = (tick - session.first_pulse[trial]) / TICKS_PER_S
         if trial in (seen.pending_trial, seen.last_learned_trial) or trial + 1 < seen.next_trial:
             assert data == whole, f"the file of trial {trial} is not whole"
