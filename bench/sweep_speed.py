@@ -11,6 +11,7 @@ is measured with processes that only swim, and stands beside the sweep's.
 from __future__ import annotations
 
 import math
+import subprocess
 import tempfile
 import time
 from collections.abc import Callable
@@ -30,7 +31,7 @@ from tailbeat.studies.montecarlo.runner import run_study
 BEATS = 40
 GOAL = 20.0
 SUBSTEPS = 200  # of a beat
-AT_ONCE = 2048  # numbers, which stay in the nearest cache
+PROGRAM = Path("build/bench/tailbeat_bench")
 SCALING_GOAL = 1.9
 RECIPE = """
 iterations = {iterations}
@@ -102,20 +103,11 @@ def swims(load: Load) -> dict[str, float]:
     )
 
 
-def divider_trials_per_s(turns: int) -> float:
-    """No batch is faster: a substep has two quotients and a root, and the processor's divider takes
-    its time for each, however many lanes a register has."""
-    x = np.random.default_rng(3).uniform(1, 2, AT_ONCE)
-    y, out = x[::-1].copy(), np.empty(AT_ONCE)
-
-    def substeps() -> None:
-        for _ in range(AT_ONCE):
-            np.divide(x, y, out=out)
-            np.divide(y, x, out=out)
-            np.sqrt(x, out=out)
-
-    trials = AT_ONCE * AT_ONCE // (SUBSTEPS * BEATS)
-    return compare({"divider": substeps}, trials, turns)["divider"]
+def divider_trials_per_s() -> float:
+    """No batch is faster: a substep has two quotients and a root, for which the processor's divider
+    takes its time, at best with full vector registers."""
+    run = subprocess.run([PROGRAM, "divider"], capture_output=True, text=True, check=True)
+    return 1e9 / (float(run.stdout.split()[0]) * SUBSTEPS * BEATS)
 
 
 def board_recipe(load: Load) -> Recipe:
@@ -185,7 +177,7 @@ def main(load: Load = FULL) -> int:
     """Measures and prints."""
     found = swims(load)
     ratio = found["batch"] / found["numpy"]
-    limit = divider_trials_per_s(load.turns) / found["numpy"]
+    limit = divider_trials_per_s() / found["numpy"]
     print(
         f"one core, {load.fish} fish at a time: {found['batch']:.0f} trials/s side by side in C,"
         f" {found['numpy']:.0f} in numpy: {ratio:.1f} x (goal {GOAL:.0f} x; limit, by two quotients"

@@ -1,7 +1,9 @@
 /*
  * How fast the whole thing runs without Python: firmware, simulated board, fish and a host made of
- * as little as will do, over whole trials of learning. Usage: tailbeat_bench [trials] [thesis]
+ * as little as will do, over whole trials of learning. Usage: tailbeat_bench [trials] [thesis];
+ * tailbeat_bench divider
  */
+#include "divider.h"
 #include "mini_host.h"
 #include "store/records.h"
 
@@ -111,6 +113,10 @@ static int run(sim_t *sim, bool thesis, int trials) {
 }
 
 int main(int argc, char **argv) {
+    if (argc > 1 && strcmp(argv[1], "divider") == 0) {
+        printf("%.4f ns for the quotients and roots of a substep\n", 1e9 * divider_substep_s());
+        return EXIT_SUCCESS;
+    }
     const int trials = argc > 1 ? atoi(argv[1]) : 6;
     const bool thesis = argc > 2 && strcmp(argv[2], "thesis") == 0;
     sim_config_t config;

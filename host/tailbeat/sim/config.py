@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 import socket
+from functools import cache
 from typing import Any
 
 from msgspec.structs import asdict
@@ -56,9 +57,10 @@ def config_values(config: Any) -> dict[str, float]:
     return {name: getattr(config, name) for name in config_fields()}
 
 
-def config_fields() -> list[str]:
+@cache
+def config_fields() -> tuple[str, ...]:
     """Names of all values of the simulator's configuration."""
-    return [name for name, _ in ffi.typeof("sim_config_t").fields]
+    return tuple(name for name, _ in ffi.typeof("sim_config_t").fields)
 
 
 def config_field(name: str) -> str:
