@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -297,7 +297,7 @@ class FtpClient:
         self._seq = (self._seq + 2) & 0xFFFF
         return FtpRequest(self._seq, session, opcode, offset, data, size)
 
-    def _replies(self, path: str, *requests: FtpRequest) -> list[FtpReply]:
+    def _replies(self, path: str, *requests: FtpRequest) -> Sequence[FtpReply]:
         """The answers to all of them, refusals too; each is repeated until answered."""
         waiting = {((one.seq + 1) & 0xFFFF, one.opcode): one for one in requests}
         found: dict[FtpRequest, FtpReply] = {}
