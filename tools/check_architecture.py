@@ -26,8 +26,8 @@ PACKAGE = "tailbeat"
 # trial, the stream of what the board reports, the demo's two laws and the
 # page that leads through the whole job; by recordings as rows and
 # fits of many trials at once.
-FILES_MAX = 257
-CODE_LINES_MAX = 42_900
+FILES_MAX = 259
+CODE_LINES_MAX = 43_400
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

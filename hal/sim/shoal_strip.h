@@ -88,7 +88,7 @@ STRIP_INLINE VEC OF(delayed)(const shoal_block_t *b, const strip_rows_t *rows, u
     if (b->same_delay) {
         return LOOK(rows->late[i]);
     }
-    VEC late;
+    VEC late = {0};
     for (unsigned lane = 0; lane < STRIP_WIDTH; lane++) {
         const uint64_t step = b->step + i - b->delay_steps[l + lane];
         late[lane] = b->thrust[step & b->ring_mask][l + lane];
