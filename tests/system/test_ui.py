@@ -130,10 +130,12 @@ def _start(browser: Browser, phase: str) -> None:
 
 
 def _choose(browser: Browser, choice: str) -> None:
-    """The trial is decided when this returns."""
-    ends = '["idle", "failed"].includes(document.querySelector(".root")?.dataset.phase)'
-    browser.press(f".choose-{choice}", ends)
-    browser.phase("idle")
+    """The trial is decided when this returns; what is proposed after it is left. On a busy machine
+    beats go unmeasured, and that is one of the causes that are named."""
+    phase = "document.querySelector('.root')?.dataset.phase"
+    browser.press(f".choose-{choice}", f"{phase} !== 'deciding'")
+    while browser.phase("asking", "idle") == "asking":
+        browser.press(".asking .no", f"{phase} !== 'asking'")
 
 
 def _trial_and(browser: Browser, choice: str) -> None:
@@ -183,7 +185,7 @@ def test_a_session(page: Page, browser: Browser) -> None:
     assert [entry["text"] for entry in page.journalled("note")] == ["water 21 degrees"]
 
 
-REQUESTS_MAX, BYTES_MAX = 30, 3_000_000
+REQUESTS_MAX, BYTES_MAX = 27, 800_000
 
 
 def _costs(browser: Browser) -> None:
