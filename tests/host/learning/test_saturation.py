@@ -144,4 +144,5 @@ def test_the_page_shows_the_words(series: list[Trial]) -> None:
     page = Listener()
     page.tell(assessed(verdict))
     assert verdict.saturation.words in page.now.assessment
-    assert "tailbeat params set AMP_MAX_RAD" in page.now.assessment
+    assert "'Parameters' on this page" in page.now.assessment
+    assert "--" not in page.now.assessment, "an option that no control of the page has"

@@ -69,7 +69,7 @@ def test_the_thesis_preset_is_the_law_of_8_16(fish: Fish) -> None:
     assert changed["ILC_LEAD"][0] == 1 and changed["ILC_LEAD"][1].value == 0
     with pytest.raises(InputError, match="no preset 'thesi'") as caught:
         preset("thesi")
-    assert caught.value.remedy == "Use thesis."
+    assert caught.value.remedy == "Did you mean thesis? Use thesis."
 
 
 @pytest.mark.parametrize("name", ["NO_SUCH", "", "A_NAME_FAR_TOO_LONG"])
