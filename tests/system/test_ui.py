@@ -130,12 +130,10 @@ def _start(browser: Browser, phase: str) -> None:
 
 
 def _choose(browser: Browser, choice: str) -> None:
-    """The trial is decided when this returns; what is proposed after it is left. On a busy machine
-    beats go unmeasured, and that is one of the causes that are named."""
-    phase = "document.querySelector('.root')?.dataset.phase"
-    browser.press(f".choose-{choice}", f"{phase} !== 'deciding'")
-    while browser.phase("asking", "idle") == "asking":
-        browser.press(".asking .no", f"{phase} !== 'asking'")
+    """The trial is decided when this returns."""
+    ends = '["idle", "failed"].includes(document.querySelector(".root")?.dataset.phase)'
+    browser.press(f".choose-{choice}", ends)
+    browser.phase("idle")
 
 
 def _trial_and(browser: Browser, choice: str) -> None:

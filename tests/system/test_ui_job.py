@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from .accessibility import require_accessible
 from .browser import LAPTOP, PHONE, SPEED, Browser, Touched, browsing, page_of
 
@@ -36,6 +38,7 @@ def test_by_mouse_on_a_laptop(simulator: Any, tmp_path: Path) -> None:
         assert browser.complaints() == []
 
 
+@pytest.mark.soak
 def test_by_touch_on_a_phone(simulator: Any, tmp_path: Path) -> None:
     """With all choices as they are; ABORT ends it in the second trial."""
     with (

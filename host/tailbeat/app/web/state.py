@@ -327,7 +327,8 @@ _CONTROLS = tuple(
             "'Parameters' on this page",
         ),
         (
-            r"reference upload(?: (?:thesis|trapezoid|cosine)[\w:.,]*\b| \S*\.csv)?(?: --warm-start board)?",
+            r"reference upload(?: (?:thesis|trapezoid|cosine)[\w:.,]*\b| \S*\.csv)?"
+            r"(?: --warm-start board)?",
             "'Change the reference' on this page",
         ),
         (r"report\b(?! --)", "'Write the report' on this page"),
