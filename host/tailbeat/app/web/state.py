@@ -41,7 +41,7 @@ MOVING: tuple[Phase, ...] = ("preflight", "countdown", "swimming")
 STOPPED = ("ABORTED", "FAULT")
 LOG_LINES = 200
 _TRACK_POINTS = 400
-_TRACK_STEP_M = 0.004
+_TRACK_STEP_M = 0.01  # 4 m in all: the path of a whole trial, with its sway
 
 Point = tuple[float, float]
 

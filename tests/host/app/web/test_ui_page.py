@@ -187,6 +187,14 @@ def test_the_path_forgets_what_hardly_differs() -> None:
     assert (begun.track, begun.start_pose) == ((), (0.0, 0.0, 0.3))
 
 
+def test_the_path_holds_a_whole_trial() -> None:
+    """2.6 m with a sway of 2 cm a beat, 25 pictures a second at 80 mm/s."""
+    now = NOW
+    for k in range(round(2.6 / 0.0032)):
+        now = state.by_place(now, (k * 0.0032, 0.01 * math.sin(k * math.tau / 25)))
+    assert now.track[0] == (0.0, 0.0) and now.track[-1][0] > 2.58
+
+
 def test_two_trials_over_each_other() -> None:
     options = charts.compare_chart(curve(1), curve(3))
     assert [one["name"] for one in options["series"]] == ["reference", "trial 1", "trial 3"]
