@@ -199,7 +199,9 @@ class Series:
 
     def followed(self, found: CauseFound) -> float:
         """The error of the next input once the proposal was carried out."""
-        if found.cause in (C.DISTURBANCE, C.GAIN):
+        if found.cause is C.DISTURBANCE and found.value is not None:
+            return self.fish.error_m_s(self.inputs[int(found.value) - 1], self.reference)
+        if found.cause is C.GAIN:
             worst = [float(np.nanmax(np.abs(self.reference.speed_m_s - one.speed_m_s)))
                      for one in self._telling()]  # fmt: skip
             return self.fish.error_m_s(self.inputs[int(np.argmin(worst))], self.reference)

@@ -178,9 +178,7 @@ class Belief:
 
     def _filter(self, reference_crc: int, beats: int) -> tuple[F64, F64, F64 | None]:
         mean = np.zeros(beats)
-        apart = np.abs(np.subtract.outer(np.arange(beats), np.arange(beats)))
-        repeats_m_s = max(_REPEATS_M_S, self.misfit_m_s)
-        covariance = repeats_m_s**2 * np.exp(-apart / _REPEATS_BEATS)
+        covariance = self._left_out(beats)
         last: F64 | None = None
         begin = len(self.first)
         residuals = self.fit.residual_m_s[begin:] if self.fit else []
@@ -196,6 +194,22 @@ class Belief:
             mean = mean + gain @ (residual[seen] - mean[seen])
             covariance = covariance - gain @ covariance[seen]
         return mean, covariance, last
+
+    def left_out(self, amplitudes_rad: Sequence[F64]) -> F64:
+        """Covariance of what the model leaves out and comes again in trials with these amplitudes,
+        one after the other, before any of them is known: (all beats, all beats)."""
+        lasting, last = [self._left_out(len(amplitudes_rad[0]))], None
+        for amplitude in amplitudes_rad:
+            lasting.append(lasting[-1] + np.diag(self._unknown(last, amplitude)))
+            last = amplitude
+        count = range(1, len(lasting))
+        return np.block([[lasting[min(one, other)] for other in count] for one in count])
+
+    def _left_out(self, beats: int) -> F64:
+        apart = np.abs(np.subtract.outer(np.arange(beats), np.arange(beats)))
+        repeats_m_s = max(_REPEATS_M_S, self.misfit_m_s)
+        covariance: F64 = repeats_m_s**2 * np.exp(-apart / _REPEATS_BEATS)
+        return covariance
 
     def _noise(self, trial: TrialSpeeds) -> F64:
         """Of a trial's beats beyond what repeats, (beats, beats)."""

@@ -1,15 +1,11 @@
 """Why a trial's error is as large as it is: named causes, each with its number, place and remedy.
 
 What the amplitude limit and the reference cost follows from the model (error bounds). The rest is
-told from how the trials of a series differ from the model that was measured before them: a shift
-that begins with some trial and stays is a changed fish, one from the first trial on a model that
-misses, shifts without order are disturbances; a remainder that comes again is a model that misses,
-one that does not is a disturbance.
+told from how the trials of a series depart from what was known before them.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -21,11 +17,11 @@ from tailbeat.core.law import Law
 from tailbeat.core.printable import mm
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_checks import spans
-from tailbeat.learning.belief import Belief
+from tailbeat.learning.belief import Belief, believe
+from tailbeat.learning.departures import Departure, Kind, departures
 from tailbeat.learning.error_bound import ErrorBound, Miss, error_bound
-from tailbeat.learning.fish_model import FishModel, TrialSpeeds
+from tailbeat.learning.fish_model import TrialSpeeds
 from tailbeat.learning.saturation import SERVO_MOST_RAD, at_limit
-from tailbeat.learning.shifts import Pattern, Split, remainders, shifts_of, split_of
 
 SHARE_MIN_M_S = 0.0015  # causes that explain less of the error are not named
 # Of the top speed: what a fish that only drag slows may miss where it comes to rest.
@@ -38,9 +34,9 @@ _GAIN_PART = 0.75  # of the gain from which on nothing contracts at steady speed
 _TELLING_TRIALS = 3
 _TRIALS_MAX = 6  # the last ones are compared
 
-# The remainder of a beat, RMS, over what is usual for this fish, from which on it is a cause: what
-# comes again, and what does not. Of healthy fish 98 % have less.
-_AGAIN, _ALONE = 1.45, 1.8
+_SURE = 0.5  # probability from which on a departure is named
+# So many trials show it: one alone may be a disturbance as well as a misfit.
+_SHOWN_BY: dict[Kind, int] = {"changed": 3, "misfit": 2, "disturbed": 3}
 
 
 class Cause(StrEnum):
@@ -59,7 +55,7 @@ class Cause(StrEnum):
 class CauseFound:
     """``share_m_s``: of the largest error, as far as it can be told. ``number``: the evidence;
     ``place``: beats or trials; ``proposal``: what to do, in words. ``value``: the gain that is
-    proposed; the first trial of a fish that changed."""
+    proposed; the first trial of a fish that changed; the trial whose input is to be repeated."""
 
     cause: Cause
     share_m_s: float
@@ -88,10 +84,15 @@ class Evidence:
     most_rad: float = SERVO_MOST_RAD
 
     @cached_property
-    def measured_model(self) -> FishModel:
-        """The model before the series; the fitted one where nothing was measured then."""
+    def before(self) -> Belief:
+        """Before the series; the present one where nothing was measured then."""
         identified = self.belief.identified
-        return self.belief.model if identified.source == "none" else identified.model
+        return self.belief if identified.source == "none" else believe(identified, [])
+
+    @property
+    def compared(self) -> Sequence[TrialSpeeds]:
+        """The last trials."""
+        return self.trials[-_TRIALS_MAX:]
 
     @property
     def knows_fish(self) -> bool:
@@ -107,20 +108,6 @@ class Evidence:
     def top_m_s(self) -> float:
         """Of the reference."""
         return float(self.reference.speed_m_s.max())
-
-    @cached_property
-    def splits(self) -> list[Split]:
-        """Of the last trials."""
-        return [
-            split_of(one, self.measured_model, self.top_m_s) for one in self.trials[-_TRIALS_MAX:]
-        ]
-
-    @property
-    def usual_remainder_m_s(self) -> float:
-        """Of a beat, RMS, by the speeds' own uncertainty and what the model left out before."""
-        variance = [np.square(one.sigma_m_s[one.measured]) for one in self.trials[-_TRIALS_MAX:]]
-        measured = float(np.mean(np.concatenate(variance)))
-        return math.hypot(math.sqrt(measured), self.belief.identified.scatter.misfit_m_s)
 
     @property
     def max_abs_error_m_s(self) -> float:
@@ -203,57 +190,59 @@ def _gain(evidence: Evidence) -> CauseFound | None:
     return CauseFound(Cause.GAIN, share, number, "every beat", proposal, value=half)
 
 
-def _differing(evidence: Evidence) -> CauseFound | None:
-    """Changed fish, misfit or disturbance: whichever explains the most."""
-    splits = evidence.splits
-    again, alone = remainders(splits)
-    usual_m_s = evidence.usual_remainder_m_s
-    shifts = shifts_of(splits, evidence.top_m_s)
-    is_alone = len(splits) >= _TELLING_TRIALS and alone > _ALONE * usual_m_s
-    rows = [
-        (alone, _disturbance, is_alone, 0),
-        (again, _misfit, again > _AGAIN * usual_m_s, 0),
-        (shifts.size_m_s, _BY_PATTERN.get(shifts.pattern), True, shifts.since),
-    ]
-    named = [(share, cause, since) for share, cause, is_much, since in rows if cause and is_much]
-    share, cause, since = max(named, key=lambda row: row[0], default=(0.0, None, 0))
-    return cause(evidence, share, since) if cause is not None else None
+def _departing(evidence: Evidence) -> CauseFound | None:
+    """Changed fish, misfit or disturbance: whichever explains the most. What a model misses cannot
+    be told while trials differ much."""
+    wanted_m_s = np.asarray(evidence.reference.speed_m_s, dtype=np.float64)
+    found = departures(evidence.before, evidence.compared, wanted_m_s)
+    named = {kind: one for kind, one in found.items() if _is_named(one, evidence)}
+    if "disturbed" in named:
+        named.pop("misfit", None)
+    if not named:
+        return None
+    most = max(named.values(), key=lambda one: abs(one.effect_m_s))
+    return _BY_KIND[most.kind](evidence, most)
 
 
-def _disturbance(evidence: Evidence, share: float, since: int) -> CauseFound:
+def _is_named(one: Departure, evidence: Evidence) -> bool:
+    shown = len(evidence.compared) >= _SHOWN_BY[one.kind]
+    return shown and one.chance >= _SURE and abs(one.effect_m_s) >= SHARE_MIN_M_S
+
+
+def _disturbance(evidence: Evidence, found: Departure) -> CauseFound:
+    share, best = found.effect_m_s, evidence.compared[found.best].trial
     number = f"{mm(share)} mm/s differ from trial to trial and cannot be learned"
-    proposal = "repeat the best input; let the water rest longer, and look for what moves it"
-    return CauseFound(Cause.DISTURBANCE, share, number, _trials(evidence, since), proposal)
+    proposal = (
+        f"repeat the input of trial {best}, the best without it; let the water rest longer, and"
+        " look for what moves it"
+    )
+    return CauseFound(Cause.DISTURBANCE, share, number, "every trial", proposal, float(best))
 
 
-def _misfit(evidence: Evidence, share: float, since: int) -> CauseFound:
+def _misfit(evidence: Evidence, found: Departure) -> CauseFound:
+    share = abs(found.effect_m_s)
     number = f"the measured model misses every trial by {mm(share)} mm/s in the same way"
     proposal = "measure the fish again (one run)"
-    return CauseFound(Cause.MISFIT, share, number, _trials(evidence, since), proposal)
+    return CauseFound(Cause.MISFIT, share, number, "every trial", proposal)
 
 
-def _changed(evidence: Evidence, share: float, since: int) -> CauseFound:
-    sign = "+" if evidence.splits[-1].shift_m_s > 0 else "-"
+def _changed(evidence: Evidence, found: Departure) -> CauseFound:
+    share, first = abs(found.effect_m_s), evidence.compared[found.since].trial
+    sign = "+" if found.effect_m_s > 0 else "-"
     number = f"{sign}{mm(share)} mm/s at the same amplitudes (battery, ballast, fin?)"
     proposal = "look at battery and fin; if nothing is wrong, measure the fish again (one run)"
-    place, first = _trials(evidence, since), float(evidence.trials[-_TRIALS_MAX:][since].trial)
-    return CauseFound(Cause.CHANGED, share, number, place, proposal, value=first)
+    place = f"since trial {first}"
+    return CauseFound(Cause.CHANGED, share, number, place, proposal, value=float(first))
 
 
-_BY_PATTERN: dict[Pattern, Callable[[Evidence, float, int], CauseFound]] = {
-    "constant": _misfit, "stepped": _changed, "scattered": _disturbance
+_BY_KIND: dict[Kind, Callable[[Evidence, Departure], CauseFound]] = {
+    "changed": _changed, "misfit": _misfit, "disturbed": _disturbance
 }  # fmt: skip
-
-
-def _trials(evidence: Evidence, since: int) -> str:
-    compared = evidence.trials[-_TRIALS_MAX:]
-    return f"since trial {compared[since].trial}" if since else "every trial"
-
 
 _DETECTORS: tuple[Callable[[Evidence], CauseFound | None], ...] = (
     _saturation,
     _infeasible,
     _missing,
     _gain,
-    _differing,
+    _departing,
 )

@@ -23,7 +23,7 @@ from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.session.board_law import lower_gain
 from tailbeat.session.commission import give_reference, store_measured
-from tailbeat.session.decide import restore_best_and_log
+from tailbeat.session.decide import log_state, restore_best_and_log
 from tailbeat.session.events import Operator, StepEnded
 from tailbeat.session.guards import Guard
 from tailbeat.session.health import check_health
@@ -64,7 +64,8 @@ class Trials:
             self.steps.append(step)
             self.operator.tell(step)
             until = options.until.beyond(end.counted)
-            options = replace(options, plan_anew=True, counted=end.counted, until=until)
+            anew = end.accepted.cause not in _GIVE_INPUT
+            options = replace(options, plan_anew=anew, counted=end.counted, until=until)
 
     @property
     def reference(self) -> Reference:
@@ -106,8 +107,14 @@ def _sensors(of: Trials, finding: CauseFound) -> StepEnded:
 
 
 def _best_again(of: Trials, finding: CauseFound) -> StepEnded:
-    restore_best_and_log(of.fish)
-    return StepEnded("repeat", True, "the best input so far comes next, once more")
+    trials = SessionLog(of.folder).counting() if of.folder is not None else []
+    best = next((one for one in reversed(trials) if one.number == finding.value), None)
+    if best is None:
+        restore_best_and_log(of.fish)
+        return StepEnded("repeat", True, "the best input so far comes next, once more")
+    of.fish.upload_amplitudes(best.beats.amplitude_rad)
+    log_state(of.fish)
+    return StepEnded("repeat", True, f"the input of trial {best.number} comes next, once more")
 
 
 def _measure(of: Trials, finding: CauseFound) -> StepEnded:
@@ -133,6 +140,8 @@ def _smaller_gain(of: Trials, finding: CauseFound) -> StepEnded:
     restore_best_and_log(of.fish)
     return StepEnded("gain", True, f"ILC_GAIN is {finding.value:.2f}; the best input comes next")
 
+
+_GIVE_INPUT = (Cause.DISTURBANCE,)  # what comes next is not planned by a law
 
 CARRY_OUT: dict[Cause, Callable[[Trials, CauseFound], StepEnded]] = {
     Cause.SATURATION: _raise_limit,

@@ -14,12 +14,12 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.law import Law
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.learning.belief import believe
+from tailbeat.learning.departures import Departure, Kind, departures
 from tailbeat.learning.diagnosis import Cause, Evidence, diagnose
 from tailbeat.learning.error_bound import error_bound, suggest
 from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import ModelStepSetting, propose_by
-from tailbeat.learning.shifts import Split, shifts_of
 
 MODEL = FishModel(10.0, 0.21, 0.2, 0.3)
 KNOWN = Identified(
@@ -101,6 +101,22 @@ def test_what_does_not_come_again() -> None:
     ]
 
 
+def test_the_input_to_repeat_is_the_best_without_the_disturbance() -> None:
+    """A wave hides the error of a worse input in the second trial."""
+    trials = trials_of(FEASIBLE, 3)
+    weaker = 0.9 * trials[1].amplitude_rad
+    lost = MODEL.beats(trials[1].amplitude_rad, 1.0) - MODEL.beats(weaker, 1.0)
+    worse = replace(trials[1], amplitude_rad=weaker)  # as fast by chance
+    rng = np.random.default_rng(RNG_SEED)
+    waves = [rng.normal(0, 0.006, FEASIBLE.beats) for _ in range(2)]
+    swum = [*shifted([trials[0], trials[2]], waves), worse]
+    by_measured = [np.abs(FEASIBLE.speed_m_s - one.speed_m_s).max() for one in swum]
+    assert np.argmin(by_measured) == 2 and lost.max() > 0.004
+    found = diagnose(Evidence(FEASIBLE, MOST_RAD, swum, believe(KNOWN, swum)))
+    repeated = {one.value for one in found if one.cause is Cause.DISTURBANCE}
+    assert repeated and repeated != {swum[2].trial}
+
+
 def test_what_comes_again_from_the_first_trial_on() -> None:
     wave = 0.005 * np.sin(np.arange(FEASIBLE.beats))
     assert causes(shifted(trials_of(FEASIBLE), [wave] * 3)) == [Cause.MISFIT]
@@ -125,16 +141,29 @@ def test_a_gain_near_the_one_that_diverges() -> None:
     assert causes(trials, law=Law(kp_rad_s_m=0.4 / slope)) == []
 
 
-@pytest.mark.parametrize(
-    ("shifts_m_s", "pattern", "since"),
-    [
-        ([0.001, -0.001, 0.0], "usual", 0),
-        ([0.02, 0.021, 0.019], "constant", 0),
-        ([0.0, 0.0, 0.02, 0.02], "stepped", 2),
-        ([0.0, 0.02], "single", 1),
-        ([0.02, -0.02, 0.015, -0.015], "scattered", 0),
-    ],
-)
-def test_patterns_of_shifts(shifts_m_s: list[float], pattern: str, since: int) -> None:
-    found = shifts_of([Split(one, np.zeros(3)) for one in shifts_m_s], 0.07)
-    assert (found.pattern, found.since) == (pattern, since)
+def departures_of(trials: list[TrialSpeeds]) -> dict[Kind, Departure]:
+    return departures(believe(KNOWN, []), trials, FEASIBLE.speed_m_s.astype(np.float64))
+
+
+def test_thrust_lost_around_some_amplitudes_is_a_misfit() -> None:
+    """As little as 3 mm/s."""
+    trials = trials_of(FEASIBLE)
+    near = (trials[0].amplitude_rad - 0.75 * trials[0].amplitude_rad.max()) / 0.08
+    weaker = trials[0].amplitude_rad * (1 - 0.035 * np.exp(-(near**2)))
+    lost = MODEL.beats(weaker, 1.0) - MODEL.beats(trials[0].amplitude_rad, 1.0)
+    assert 0.002 < np.abs(lost).max() < 0.004
+    found = departures_of(shifted(trials, [lost] * 3))
+    assert found["misfit"].chance > 0.9
+    assert found["misfit"].effect_m_s == pytest.approx(lost[np.argmax(np.abs(lost))], rel=0.4)
+    assert found["changed"].chance < 0.1 and found["disturbed"].chance < 0.1
+
+
+def test_beats_without_a_speed_tell_nothing_of_departures() -> None:
+    trials = trials_of(FEASIBLE, 4)
+    speed = trials[1].speed_m_s.copy()
+    speed[::2] = np.nan
+    trials[1] = replace(trials[1], speed_m_s=speed)
+    found = departures_of(trials)
+    assert max(one.chance for one in found.values()) < 0.2
+    since = departures_of(shifted(trials, [0.0, 0.0, -0.01, -0.01]))["changed"]
+    assert since.chance > 0.9 and since.since == 2 and since.effect_m_s < 0

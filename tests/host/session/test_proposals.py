@@ -19,6 +19,7 @@ from tailbeat.learning.saturation import up_to_grain
 from tailbeat.session.commission import give_reference
 from tailbeat.session.events import Event, StepEnded, TrialDiagnosed, TrialStarted
 from tailbeat.session.limit import LimitIncrease
+from tailbeat.session.log import SessionLog
 from tailbeat.session.options import Options, Until
 from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.proposals import CARRY_OUT, Trials
@@ -182,3 +183,17 @@ def test_every_proposal_can_be_carried_out(measured: Measured) -> None:
         assert (reference.crc != thesis().crc) == (cause is Cause.INFEASIBLE)
         of.run()
     assert fish.params.get("ILC_GAIN").value == pytest.approx(2.5)
+
+
+def test_the_input_of_the_named_trial_comes_next(measured: Measured) -> None:
+    """Whichever it is, and the next trial executes it: no law plans in between."""
+    of = measured.run(Answers(), 2, proposes=False)
+    first, last = SessionLog(measured.folders[-1]).counting()[-2:]
+    assert (first.beats.amplitude_rad != last.beats.amplitude_rad).any()
+    cause = CauseFound(Cause.DISTURBANCE, 0.01, "", "", "", float(first.number))
+    step = CARRY_OUT[Cause.DISTURBANCE](of, cause)
+    assert step.done and f"trial {first.number}" in step.words
+    measured.run(Answers(), 1, proposes=False)
+    repeated = SessionLog(measured.folders[-1]).counting()[-1]
+    assert repeated.number > last.number
+    assert (repeated.beats.amplitude_rad == first.beats.amplitude_rad).all()
