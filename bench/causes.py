@@ -211,10 +211,10 @@ class Series:
             known = self.beliefs.identified
             self.reference = suggest(known, self.reference, self.limit_rad).reference
             self.law, self.trials = None, []
-        elif found.cause in (C.MISFIT, C.CHANGED):
-            since = int(found.value or 0) if found.cause is C.CHANGED else 0
-            runs = self.identified.trials if found.cause is C.MISFIT else []
-            runs = [*runs, *(one for one in self._telling() if one.trial >= since)]
+        elif found.cause is C.MISFIT:  # its trials go on to correct the model
+            self.beliefs = Beliefs(self.fish.measured(self.identified.trials))
+        elif found.cause is C.CHANGED:
+            runs = [one for one in self._telling() if one.trial >= int(found.value or 0)]
             self.beliefs, self.trials = Beliefs(self.fish.measured(runs)), []
         self.fish.cured(found.cause)
         return self.fish.error_m_s(self.planned(), self.reference)

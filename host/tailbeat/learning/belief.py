@@ -180,11 +180,10 @@ class Belief:
         mean = np.zeros(beats)
         covariance = self._left_out(beats)
         last: F64 | None = None
-        begin = len(self.first)
-        residuals = self.fit.residual_m_s[begin:] if self.fit else []
-        rows = zip(self.trials, residuals, self.weights[begin:], strict=True)
+        residuals = self.fit.residual_m_s if self.fit else []
+        rows = zip([*self.first, *self.trials], residuals, self.weights, strict=bool(residuals))
         for trial, residual, weight in rows:
-            if trial.reference_crc != reference_crc or trial.beats != beats:
+            if not reference_crc or trial.reference_crc != reference_crc or trial.beats != beats:
                 continue
             covariance = covariance + np.diag(self._unknown(last, trial.amplitude_rad))
             last = trial.amplitude_rad

@@ -166,14 +166,17 @@ def setting_of(fish: Fish) -> ModelStepSetting:
 def trials_since(
     identified: Identified, trials: Sequence[TrialSpeeds], unique_id: str
 ) -> list[TrialSpeeds]:
-    """Those of ``trials`` (oldest first) that came after the runs the fish was identified by; all,
-    when it was identified by another fish's or by a table. Runs are known by what is in them: the
-    numbers of a simulated board that starts again, or of one that lost its store, come again."""
+    """Those of ``trials`` (oldest first) that came after the first of the runs the fish was
+    identified by and are none of them; all, when it was identified by another fish's or by a
+    table. Runs are known by what is in them: the numbers of a simulated board that starts again,
+    or of one that lost its store, come again."""
     if identified.unique_id != unique_id:
         return list(trials)
     own = {swim_crc(trial) for trial in identified.trials}
-    last = max((at for at, trial in enumerate(trials) if swim_crc(trial) in own), default=-1)
-    return list(trials[last + 1 :])
+    is_own = [swim_crc(trial) in own for trial in trials]
+    since = is_own.index(True) if any(is_own) else 0
+    rows = zip(trials[since:], is_own[since:], strict=True)
+    return [trial for trial, its_own in rows if not its_own]
 
 
 def numbering_restarted(every: Sequence[TrialSpeeds], since: Sequence[TrialSpeeds]) -> bool:

@@ -125,12 +125,13 @@ def _measure(of: Trials, finding: CauseFound) -> StepEnded:
 
 
 def _still_true(of: Trials, finding: CauseFound) -> tuple[TrialSpeeds, ...]:
-    """What the fish has executed, since it changed if it did: it counts beside the new run."""
+    """What counts beside the new run: of a fish that changed what it has executed since, otherwise
+    what it was measured by. (The trials of a model that misses go on to correct it.)"""
+    if finding.cause is not Cause.CHANGED:
+        return tuple(of.identified.trials) if of.identified else ()
     trials = [trial_speeds(one) for one in SessionLog(of.folder).counting()] if of.folder else []
     since = finding.value or 0.0
-    telling = [one for one in trials if one.measured.any() and one.trial >= since]
-    before = of.identified.trials if of.identified and finding.cause is Cause.MISFIT else ()
-    return (*before, *telling)
+    return tuple(one for one in trials if one.measured.any() and one.trial >= since)
 
 
 def _smaller_gain(of: Trials, finding: CauseFound) -> StepEnded:

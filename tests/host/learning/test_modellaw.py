@@ -346,6 +346,8 @@ def test_only_swims_after_the_identification_count() -> None:
     assert [trial.trial for trial in trials_since(identified, trials, "aa")] == [4, 5]
     assert [trial.trial for trial in trials_since(identified, trials, "bb")] == [1, 2, 3, 4, 5]
     assert len(trials_since(replace(identified, trials=[]), trials, "aa")) == 5
+    again = replace(identified, trials=[trials[1], trials[3]])  # measured once more later
+    assert [trial.trial for trial in trials_since(again, trials, "aa")] == [3, 5]
 
 
 def test_numbers_that_come_again_hide_no_swim() -> None:
