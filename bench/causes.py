@@ -332,7 +332,7 @@ def outcome_of(job: tuple[str, int, str, tuple[Cause, ...]]) -> Outcome:
 
 def main(load: Load = FULL, arguments: Sequence[str] = ()) -> int:
     """A row for each plant, reference and cause."""
-    first = int(arguments[1]) if arguments else secrets.randbits(30)
+    first = int(arguments[1]) if len(arguments) > 1 else secrets.randbits(30)
     fish = int(arguments[0]) if arguments else load.fish
     cases = load.cases
     if len(arguments) > 2:
