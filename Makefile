@@ -19,6 +19,8 @@ PYTHON_SOURCES := host tests tools wire $(wildcard bench)
 
 # Runs all that it is given, whatever fails, and sums up.
 RUN_ALL := $(BIN)/python tools/run_all.py
+# CPU seconds of all tests, their builds included.
+TEST_CPU_MAX_S := 1200
 
 # For what takes long on purpose: no limits of time (tests/conftest.py).
 UNLIMITED := -o faulthandler_timeout=0
@@ -36,7 +38,8 @@ demo: package ## a simulated fish learns the thesis's speed profile
 	@$(BIN)/tailbeat sim demo
 
 test: toolchain ## all tests: C (sanitized, and on a Cortex-M3), host tool, flash image
-	@$(RUN_ALL) unit '$(MAKE) unit coverage' qemu '$(MAKE) qemu' image '$(MAKE) image' \
+	@$(RUN_ALL) --costs build/test_costs.txt --cpu-max $(TEST_CPU_MAX_S) \
+		unit '$(MAKE) unit coverage' qemu '$(MAKE) qemu' image '$(MAKE) image' \
 		'host and system' '$(MAKE) host_tests'
 
 image: package firmware ## only the tests of the flash image

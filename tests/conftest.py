@@ -3,12 +3,19 @@
 A test may use CPU_LIMIT_S of CPU time. Wall time ends only a test that hangs, 20 times later
 (faulthandler_timeout in pyproject.toml). Both print the stack. Soak tests have no limit, nor has
 a run with ``-o faulthandler_timeout=0``.
+
+What each test used, its fixtures and the processes it waited for included, goes to the file that
+TEST_COSTS names (tools/run_all.py).
 """
 
 from __future__ import annotations
 
 import faulthandler
+import os
 import signal
+from collections import Counter
+from collections.abc import Generator
+from pathlib import Path
 from types import FrameType
 
 import pytest
@@ -42,3 +49,42 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown() -> None:
     signal.setitimer(signal.ITIMER_PROF, 0)
+
+
+_COST = "cpu_s"
+_BEGIN = pytest.StashKey[float]()
+_costs: Counter[str] = Counter()
+
+
+def _cpu_s() -> float:
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    item.stash[_BEGIN] = _cpu_s()
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    now_s = _cpu_s()
+    report.user_properties = [(_COST, now_s - item.stash[_BEGIN])]
+    item.stash[_BEGIN] = now_s
+    return report
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    _costs[report.nodeid] += dict(report.user_properties).get(_COST, 0.0)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Where the reports of all workers come together."""
+    path = os.environ.get("TEST_COSTS")
+    if path and not hasattr(session.config, "workerinput"):
+        with Path(path).open("a") as file:
+            file.writelines(f"{cpu_s:.3f} {name}\n" for name, cpu_s in _costs.items())

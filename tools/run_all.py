@@ -1,16 +1,30 @@
 """Runs several commands one after the other, also when one fails, and sums up at the end.
 
-Usage: run_all.py NAME COMMAND [NAME COMMAND ...]. Every command goes to the shell. The exit status
-is 1 when at least one failed. CPU time is that of a command with all processes it waited for.
+Usage: run_all.py [--costs FILE] [--cpu-max S] NAME COMMAND [NAME COMMAND ...]. Every command goes
+to the shell. The exit status is 1 when at least one failed, or when all together used more than S
+seconds of CPU time, told on a machine as quick as the one of the budget: a fixed piece of work says
+how quick this one is now. CPU time is that of a command with all processes it waited for.
+
+With FILE, the commands add lines `<CPU seconds> <what>` to the file that TEST_COSTS names; the
+largest are printed.
 """
 
 from __future__ import annotations
 
+import argparse
+import hashlib
 import os
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+
+COSTS_VARIABLE = "TEST_COSTS"
+LARGEST = 20
+# CPU time of ``fixed_work`` on the machine of the budgets.
+WORK_S = 0.3
 
 
 @dataclass(frozen=True)
@@ -38,20 +52,68 @@ def run(name: str, command: str) -> Outcome:
     return Outcome(name, process.returncode, time.monotonic() - begin_s, cpu_s)
 
 
-def main(arguments: list[str]) -> int:
+def fixed_work() -> float:
+    """CPU seconds of work that is always the same: half of it in Python, half in C."""
+    begin_s = time.process_time()
+    total = 0
+    for number in range(3_000_000):
+        total += number * number % 7
+    data = bytes(2**20)
+    for _ in range(250):
+        data = hashlib.sha256(data).digest() * 2**15
+    return time.process_time() - begin_s
+
+
+def largest(costs: Path) -> list[str]:
+    """The lines of the costs' file with the most CPU time, for the summary."""
+    lines = costs.read_text().splitlines() if costs.is_file() else []
+    rows = [(float(cpu), what) for cpu, _, what in (line.partition(" ") for line in lines)]
+    return [f"  {cpu_s:7.1f} s  {what}" for cpu_s, what in sorted(rows, reverse=True)[:LARGEST]]
+
+
+def over_budget(outcomes: Sequence[Outcome], cpu_max_s: float) -> str:
+    """What was used beyond the budget; empty = nothing."""
+    slower = fixed_work() / WORK_S
+    used_s = sum(outcome.cpu_s for outcome in outcomes) / slower
+    print(
+        f"  {used_s:.0f} of {cpu_max_s:.0f} s of CPU time (this machine takes {slower:.2f} times)"
+    )
+    return f"{used_s:.0f} s of CPU time, at most {cpu_max_s:.0f}" if used_s > cpu_max_s else ""
+
+
+def parsed(arguments: Sequence[str]) -> argparse.Namespace:
+    """``pairs``: names and commands in turn."""
+    parser = argparse.ArgumentParser(description=__doc__, add_help=False)
+    parser.add_argument("--costs", type=Path)
+    parser.add_argument("--cpu-max", type=float)
+    parser.add_argument("pairs", nargs="*")
+    return parser.parse_args(arguments)
+
+
+def main(arguments: Sequence[str]) -> int:
     """Runs all; prints one line for each."""
-    if not arguments or len(arguments) % 2:
+    asked = parsed(arguments)
+    if not asked.pairs or len(asked.pairs) % 2:
         print(__doc__, file=sys.stderr)
         return 2
-    pairs = zip(arguments[::2], arguments[1::2], strict=True)
+    if asked.costs is not None:
+        asked.costs.parent.mkdir(parents=True, exist_ok=True)
+        asked.costs.unlink(missing_ok=True)
+        os.environ[COSTS_VARIABLE] = str(asked.costs.resolve())
+    pairs = zip(asked.pairs[::2], asked.pairs[1::2], strict=True)
     outcomes = [run(name, command) for name, command in pairs]
+    if asked.costs is not None and (rows := largest(asked.costs)):
+        print("\n  the most CPU time", *rows, sep="\n")
     print(f"\n  {'':24} {'wall':>9} {'CPU':>9}")
     for outcome in outcomes:
         print(outcome.line())
     failed = [outcome.name for outcome in outcomes if outcome.status != 0]
     if failed:
         print(f"FAILED: {len(failed)} of {len(outcomes)}: {', '.join(failed)}")
-    return 1 if failed else 0
+    over = "" if asked.cpu_max is None else over_budget(outcomes, asked.cpu_max)
+    if over:
+        print(f"FAILED: {over}")
+    return 1 if failed or over else 0
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ add_test(sleeps "/bin/sh" "-c" "exec sleep 1000")
 def runner(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     spec = importlib.util.spec_from_file_location("c_test_runner", RUNNER)
     assert spec is not None and spec.loader is not None
+    monkeypatch.delenv("TEST_COSTS", raising=False)
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, spec.name, module)
     spec.loader.exec_module(module)

@@ -30,6 +30,19 @@ def test_success_is_status_0() -> None:
     assert "passed" in run.stdout and "FAILED" not in run.stdout
 
 
+def test_the_largest_costs_are_listed_and_more_than_the_budget_fails(tmp_path: Path) -> None:
+    costs = tmp_path / "costs.txt"
+    costs.write_text("99.0 of the last run\n")
+    tier = "".join(f"echo {number}.5 test {number} >>$TEST_COSTS;" for number in range(1, 25))
+    run = run_all("--costs", str(costs), "--cpu-max", "60", "tier", tier)
+    listed = [line.split(" s  ")[1] for line in run.stdout.splitlines() if " s  test " in line]
+    assert listed == [f"test {number}" for number in range(24, 4, -1)]
+    assert run.returncode == 0 and "of 60 s of CPU time" in run.stdout
+    spins = "i=0; while [ $i -lt 100000 ]; do i=$((i+1)); done"
+    run = run_all("--cpu-max", "0.001", "tier", spins)
+    assert run.returncode == 1 and "s of CPU time, at most 0" in run.stdout
+
+
 def test_integration_runs_both_and_fails_when_either_does(tmp_path: Path) -> None:
     ci = tmp_path / ".ci" / "run"
     ci.parent.mkdir()
