@@ -32,12 +32,12 @@ from tailbeat.learning.slopes import speed_and_slopes
 Kind = Literal["changed", "misfit", "disturbed"]
 
 # How likely what each trial has alone, and what the model misses, is so many times the expected.
-_OWN = {0.12: 0.04, 0.2: 0.06, 0.35: 0.1, 0.6: 0.25, 1.0: 0.3, 1.5: 0.1, 2.2: 0.07, 3.5: 0.05,
+_OWN = {0.12: 0.1, 0.2: 0.12, 0.35: 0.18, 0.6: 0.2, 1.0: 0.15, 1.5: 0.1, 2.2: 0.07, 3.5: 0.05,
         6.0: 0.03}  # fmt: skip
 _MISSED = {0.2: 0.1, 0.35: 0.1, 0.6: 0.3, 1.0: 0.3, 1.5: 0.08, 2.5: 0.06, 5.0: 0.06}
 _DISTURBED, _MISFIT = 2.0, 1.5  # times the expected, from which on it is called so
 # Likewise of everything else that may be so; of a change or a spoilt trial, any trial alike.
-_USUAL, _OTHER, _MAP, _SPOILT, _CHANGED = 0.7, 0.05, 0.05, 0.08, 0.12
+_USUAL, _OTHER, _MAP, _SPOILT, _CHANGED = 0.6, 0.05, 0.05, 0.08, 0.22
 _AGREE = 2  # so many trials tell a change from a spoilt one
 # Another map from amplitude to thrust: a smooth curve with this standard deviation and reach.
 _MAP_PART, _MAP_REACH_RAD = 0.1, 0.15

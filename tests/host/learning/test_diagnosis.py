@@ -163,7 +163,6 @@ def test_beats_without_a_speed_tell_nothing_of_departures() -> None:
     speed = trials[1].speed_m_s.copy()
     speed[::2] = np.nan
     trials[1] = replace(trials[1], speed_m_s=speed)
-    found = departures_of(trials)
-    assert max(one.chance for one in found.values()) < 0.2
+    assert causes(trials) == []
     since = departures_of(shifted(trials, [0.0, 0.0, -0.01, -0.01]))["changed"]
     assert since.chance > 0.9 and since.since == 2 and since.effect_m_s < 0
