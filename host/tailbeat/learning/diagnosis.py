@@ -38,8 +38,9 @@ _TRIALS_MAX = 6  # the last ones are compared
 # probability and such a part of the last trial's largest error. On 240 series of three trials of
 # healthy fish of both plants 4 % name one.
 _SHOWN_BY: dict[Kind, int] = {"changed": 3, "misfit": 2, "disturbed": 3}
-_SURE: dict[Kind, float] = {"changed": 0.5, "misfit": 0.75, "disturbed": 0.6}
+_SURE: dict[Kind, float] = {"changed": 0.5, "misfit": 0.5, "disturbed": 0.7}
 _ERROR_PART = 0.35
+_MAY_BE_DISTURBED = 0.2  # probability; then nobody can tell what a model misses
 
 
 class Cause(StrEnum):
@@ -194,12 +195,11 @@ def _gain(evidence: Evidence) -> CauseFound | None:
 
 
 def _departing(evidence: Evidence) -> CauseFound | None:
-    """Changed fish, misfit or disturbance: whichever explains the most. What a model misses cannot
-    be told while trials differ much."""
+    """Changed fish, misfit or disturbance: whichever explains the most."""
     wanted_m_s = np.asarray(evidence.reference.speed_m_s, dtype=np.float64)
     found = departures(evidence.before, evidence.compared, wanted_m_s)
     named = {kind: one for kind, one in found.items() if _is_named(one, evidence)}
-    if "disturbed" in named:
+    if found["disturbed"].chance > _MAY_BE_DISTURBED:
         named.pop("misfit", None)
     if not named:
         return None

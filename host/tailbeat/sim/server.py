@@ -28,7 +28,9 @@ DEFAULT_LISTEN = "tcp:127.0.0.1:5760"
 _CHUNK_BYTES = 65536
 _BACKLOG_MAX_BYTES = 1 << 20
 _TURN_AWAY_S = 0.5
-_STEP_S = 0.002  # wall time between two looks at the board
+_STEP_S = 0.002  # wall time between two looks at the board ...
+_QUIET_STEP_S = 0.02  # ... that nobody has said anything to for a while
+_QUIET_AFTER_S = 0.1
 _CATCH_UP_MAX_S = 0.25  # wall time a slow machine may owe before the clock is set back
 _STEP_MAX_S = 0.05  # wall time spent on the board before the ports are looked at again
 _PIECE_S = 0.02  # simulated time run at once
@@ -240,6 +242,7 @@ class SimServer:
         self._start_s = wall_s()
         self._origin_s = board.time_s
         self._span_s = self._start_s, board.time_s
+        self._heard_s = self._start_s
 
     @property
     def addresses(self) -> Addresses:
@@ -259,7 +262,10 @@ class SimServer:
 
     def step(self) -> None:
         """Waits a moment for bytes, moves them, and lets the board's time catch up."""
-        for key, _ in self._selector.select(_STEP_S):
+        quiet = self._wall_s() - self._heard_s > _QUIET_AFTER_S
+        if ready := self._selector.select(_QUIET_STEP_S if quiet else _STEP_S):
+            self._heard_s = self._wall_s()
+        for key, _ in ready:
             key.data()
         self._board.write(self._radio.read(), RADIO)
         self._board.write(self._console.read(), CONSOLE)
