@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable, Iterator, Set
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.film_to_speed import Overlay
 from tailbeat.sensors.camera.marker.detector import Marker
 from tailbeat.sensors.camera.marker.tags import Detection
+from tailbeat.sensors.camera.source.ahead import AHEAD
 from tailbeat.sensors.camera.source.picture import TimedImage
 from tailbeat.sensors.camera.speed import SpeedCurve
 from tailbeat.sensors.camera.tracking import track as tracks
@@ -307,6 +309,29 @@ def test_half_a_film_is_no_track(fake_tracker: Callable[..., None], error: BaseE
     fake_tracker(set())
     with pytest.raises(type(error)):
         track(Source(EVEN_S, {50: error}), Marker(), None)  # type: ignore[arg-type]
+
+
+def test_nothing_is_read_once_the_tracker_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second thread reads ahead, a few pictures and no longer than the first one wants them."""
+
+    class TwoFish:
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def look(self, picture: TimedImage) -> TrackedImage:
+            if picture.index == 10:
+                raise InputError("two fish")
+            return place(picture.index, picture.t_s)
+
+    monkeypatch.setattr(tracks, "Tracker", TwoFish)
+    source, threads = Source(EVEN_S), threading.active_count()
+    with pytest.raises(InputError, match="two fish"):
+        track(source, Marker(), None)  # type: ignore[arg-type]
+    assert threading.active_count() == threads
+    left = 0
+    while source.read() is not None:
+        left += 1
+    assert len(EVEN_S) - 11 - AHEAD - 2 <= left <= len(EVEN_S) - 11
 
 
 def test_file(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.detector import KINDS, MARKERS, Marker
+from tailbeat.sensors.camera.source.ahead import read_ahead
 from tailbeat.sensors.camera.source.picture import PictureSource
 from tailbeat.sensors.camera.tracking.positions import Positions, PositionTracker
 from tailbeat.sensors.camera.tracking.tracker import PATCH_SHAPE, LedPatch, TrackedImage, Tracker
@@ -89,14 +90,15 @@ def track(
         else PositionTracker(positions, calibration, source.name, expected, patch)
     )
     places: list[TrackedImage] = []
-    while (picture := source.read()) is not None:
-        place = tracker.look(picture)
-        places.append(place)
-        if on_place is not None:
-            on_place(picture, place)
-        if progress is not None:
-            done = len(places)
-            progress(done, min(1.0, done / expected) if expected else math.nan)
+    with read_ahead(source) as read:
+        while (picture := read()) is not None:
+            place = tracker.look(picture)
+            places.append(place)
+            if on_place is not None:
+                on_place(picture, place)
+            if progress is not None:
+                done = len(places)
+                progress(done, min(1.0, done / expected) if expected else math.nan)
     if not places:
         raise InputError(f"{source.name} holds no picture.", "Give a film of a trial.")
     if all(place.frame is None for place in places):
