@@ -7,6 +7,7 @@ the output is the same on every run for the same input.
 from __future__ import annotations
 
 import argparse
+import ast
 import fcntl
 import hashlib
 import os
@@ -20,6 +21,41 @@ from importlib.metadata import version
 from pathlib import Path
 from xml.etree import ElementTree
 
+# In place of the generated module's "import hashlib": only signed frames need it, in 4 ms.
+_HEAD = """from __future__ import annotations
+
+from tailbeat.core.extras import lazy
+
+hashlib = lazy("hashlib")
+"""
+# Messages of the common dialect that board or host send, take in or refuse by name.
+KNOWN = frozenset(
+    {
+        "attitude",
+        "attitude_quaternion",
+        "autopilot_version",
+        "battery_status",
+        "command_ack",
+        "command_int",
+        "command_long",
+        "file_transfer_protocol",
+        "gps_raw_int",
+        "heartbeat",
+        "param_error",
+        "param_request_list",
+        "param_request_read",
+        "param_set",
+        "param_value",
+        "ping",
+        "setup_signing",
+        "statustext",
+        "sys_status",
+        "system_time",
+        "timesync",
+        "vision_position_estimate",
+        "vision_speed_estimate",
+    }
+)
 HERE = Path(__file__).resolve().parent
 
 
@@ -75,6 +111,42 @@ def drop_build_dates(headers: Path) -> None:
         path.write_text(re.sub(r'(MAVLINK_BUILD_DATE) ".*"', r'\1 ""', text))
 
 
+def lighten(module: Path) -> None:
+    """Takes out what every start of the host tool would make and nobody asks for: what the module
+    says of the values of other dialects' enums (the values stay), and the messages that neither
+    board nor host know, which are then noise on the line. Nor are annotations evaluated."""
+    text = module.read_text()
+    lines = text.splitlines(keepends=True)
+    for statement in reversed(ast.parse(text).body):
+        if isinstance(statement, ast.ClassDef) and statement.name == "MAVLink":
+            dropped = [one for one in statement.body if _is_foreign(getattr(one, "name", ""))]
+        else:
+            dropped = [statement] if _is_foreign(_subject(statement)) else []
+        for one in reversed(dropped):
+            del lines[one.lineno - 1 : one.end_lineno]
+    entries = [line for line in lines if not _is_foreign(line.rpartition(": ")[2].strip(" ,\n"))]
+    module.write_text("".join(entries).replace("import hashlib\n", _HEAD, 1))
+
+
+def _subject(statement: ast.stmt) -> str:
+    """What a statement defines or changes."""
+    if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call):
+        arguments = statement.value.args
+        return ast.unparse(arguments[0]) if arguments else ""
+    if isinstance(statement, ast.Assign):
+        return ast.unparse(statement.targets[0])
+    return getattr(statement, "name", "")
+
+
+def _is_foreign(name: str) -> bool:
+    """Whether it is of a message or an enum that is taken out."""
+    if name.startswith("enums['"):
+        return not name.startswith("enums['TAILBEAT_")
+    found = re.fullmatch(r"MAVLink_(\w+)_message|(\w+)_(?:encode|send)", name)
+    message = (found[1] or found[2]) if found else "tailbeat_"
+    return not message.startswith("tailbeat_") and message not in KNOWN
+
+
 def generate(inputs: dict[str, Path], into: Path) -> None:
     """Writes xml/, mavlink/ and tailbeat_dialect.py below |into|."""
     work = into / "new"
@@ -85,6 +157,7 @@ def generate(inputs: dict[str, Path], into: Path) -> None:
     mavgen("C", work / "mavlink", work / "xml" / "tailbeat.xml")
     drop_build_dates(work / "mavlink")
     mavgen("Python3", work / "tailbeat_dialect.py", work / "xml" / "tailbeat.xml")
+    lighten(work / "tailbeat_dialect.py")
     for name in ("xml", "mavlink"):
         shutil.rmtree(into / name, ignore_errors=True)
     for path in work.iterdir():

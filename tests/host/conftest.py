@@ -61,7 +61,7 @@ def _no_json_asked() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def _same_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     """A transfer begins at a random sequence number; here every run begins at the same."""
-    monkeypatch.setattr("tailbeat.link.ftp.client.secrets.randbelow", lambda _: 4711)
+    monkeypatch.setattr("tailbeat.link.ftp.client._first_number", lambda: 4711)
 
 
 @pytest.fixture(autouse=True)

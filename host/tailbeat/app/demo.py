@@ -33,7 +33,7 @@ from tailbeat.experiment.redo import write_redo
 from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.link.messages import LearnReport
-from tailbeat.link.params import THESIS
+from tailbeat.link.presets import THESIS
 from tailbeat.report.paper import write_report
 from tailbeat.session.collect import TrialLog, record_of
 from tailbeat.session.log import SessionLog

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl
 
 from tailbeat.core.errors import (
@@ -13,8 +14,8 @@ from tailbeat.core.errors import (
     TailbeatError,
     did_you_mean,
 )
+from tailbeat.core.extras import lazy
 from tailbeat.link import _dialect as mavlink
-from tailbeat.link.impaired import ImpairedLine, faults_of
 from tailbeat.link.keystore import KeyStore
 from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Framer, Message
 from tailbeat.link.serial import SerialTransport, likely_ports
@@ -22,7 +23,13 @@ from tailbeat.link.sockets import TcpTransport, UdpTransport
 from tailbeat.link.transport import Hearing, Transport
 from tailbeat.sim.board import CONSOLE, RADIO, SimBoard, SimTransport
 from tailbeat.sim.config import DEFAULT_SEED
-from tailbeat.sim.emulated import EmulatedBoard
+
+# Most connections need neither.
+if TYPE_CHECKING:
+    from tailbeat.link import impaired
+    from tailbeat.sim import emulated
+else:
+    impaired, emulated = lazy("tailbeat.link.impaired"), lazy("tailbeat.sim.emulated")
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 5760
 _HELLO_S = 0.4
@@ -189,7 +196,7 @@ def _open_simulated(url: str, overrides: dict[str, float]) -> Transport:
         raise InputError(f"a board has no port {words['port']}", f"It is {' or '.join(_PORTS)}.")
     if kind == "vboard":
         image = Path(what) if what else None
-        board = EmulatedBoard(image, words.get("plant", DEFAULT_PLANT), **values)
+        board = emulated.EmulatedBoard(image, words.get("plant", DEFAULT_PLANT), **values)
         return _behind(words, SimTransport(board, port), values)
     plant = words.get("plant", what or DEFAULT_PLANT)
     if what and what != plant:
@@ -201,8 +208,8 @@ def _behind(words: dict[str, str], transport: Transport, values: dict[str, float
     """``transport`` behind the bad line that the address asks for, if it does."""
     if "line" not in words:
         return transport
-    up, down = faults_of(words["line"])
-    return ImpairedLine(transport, up, down, int(values.get("seed", DEFAULT_SEED)))
+    up, down = impaired.faults_of(words["line"])
+    return impaired.ImpairedLine(transport, up, down, int(values.get("seed", DEFAULT_SEED)))
 
 
 def _settings(query: str) -> tuple[dict[str, str], dict[str, float]]:

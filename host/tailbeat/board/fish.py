@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Iterator
+from functools import cache
 from pathlib import Path
-
-import numpy as np
 
 from tailbeat.board.connect import open_transport, require_board
 from tailbeat.board.memory import BoardMemory
-from tailbeat.core.arrays import F64
 from tailbeat.core.errors import Refused
 from tailbeat.core.faults import IMU_STARTING, NO_TRIAL, WRONG_STATE, refusal
+from tailbeat.core.lazy_arrays import F64, np
 from tailbeat.core.records import decode_reference
 from tailbeat.core.reference import Reference
 from tailbeat.core.speed_source import PARAMETER as SPEED_SOURCE_PARAMETER
@@ -34,9 +33,15 @@ from tailbeat.link.timesync import BoardClock
 from tailbeat.link.transport import Transport
 from tailbeat.sim.board import SimulatedBoard, in_process
 
-# A board cannot lose its reference again. After an identification on one that had none a beat at
-# rest stands for none: no run's input may be executed again.
-REST = Reference(1.0, np.zeros(1, np.float32), "rest")
+
+@cache
+def rest() -> Reference:
+    """A board cannot lose its reference again. After an identification on one that had none a beat
+    at rest stands for none: no run's input may be executed again."""
+    return Reference(1.0, np.zeros(1, np.float32), "rest")
+
+
+REST_CRC = 0xECBE1397  # of that
 
 
 def board_reference(fish: Fish) -> Reference | None:

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from tailbeat.core import records
-from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError, Refused, TransferError
 from tailbeat.core.faults import BAD_DATA, BAD_FILE, NO_REFERENCE, refusal
+from tailbeat.core.lazy_arrays import F32, ArrayLike, NDArray, np
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.records import Amplitudes
 from tailbeat.core.reference import Reference
@@ -178,7 +175,7 @@ class BoardMemory:
         stored = self._stored(_BEST if best else _NEXT)
         # A board that does not report what made its input counts no updates either, and sends 0.
         if stored.input == 0 and self._counts_visits is None:
-            self.visits()
+            self.visit_counts()
         return stored if stored.input or self._counts_visits else replace(stored, input=None)
 
     def visits(self) -> NDArray[np.uint8] | None:
@@ -189,16 +186,21 @@ class BoardMemory:
         ndarray of uint8, shape (beats,), or None
             At most 255; None when the board does not count them.
         """
+        counts = self.visit_counts()
+        return None if counts is None else np.array(counts, dtype=np.uint8)
+
+    def visit_counts(self) -> tuple[int, ...] | None:
+        """As ``visits``, as whole numbers."""
         counts = self._known(_VISITS)
         self._counts_visits = counts is not None
         if counts is None:
             return None
-        if not ((counts >= 0) & (counts <= _VISITS_MAX)).all():
+        if not all(0 <= count <= _VISITS_MAX for count in counts):
             raise TransferError(
                 "the board's update counts are no numbers from 0 to 255",
                 "Its firmware or its storage is damaged: tailbeat board check",
             )
-        return counts.astype(np.uint8)
+        return tuple(map(int, counts))
 
     def peaks(self) -> F32 | None:
         """Read the best trial's largest errors.
@@ -209,7 +211,8 @@ class BoardMemory:
             |e| at their beats, m/s, 0 at all others; negative where it is an earlier best's, at a
             beat that the best did not measure. None: the board does not keep them.
         """
-        return self._known(_PEAKS)
+        peaks = self._known(_PEAKS)
+        return None if peaks is None else np.array(peaks, dtype=np.float32)
 
     def learned_record(self) -> bytes | None:
         """All that was learned, as upload_learned takes it; None when there is nothing."""
@@ -349,10 +352,10 @@ class BoardMemory:
             raise
         return True
 
-    def _known(self, kind: int) -> F32 | None:
+    def _known(self, kind: int) -> list[float] | None:
         """None: older firmware does not know this kind."""
         try:
-            return self._stored(kind).values
+            return self._steady(kind)[1]
         except Refused as refused:
             if refused.number != BAD_DATA:
                 raise
@@ -360,6 +363,10 @@ class BoardMemory:
 
     def _stored(self, kind: int) -> Amplitudes:
         """One value per beat, of one moment. Raises TransferError while they change."""
+        first, values = self._steady(kind)
+        return Amplitudes(*_series(first), np.array(values, dtype=np.float32), first.input)
+
+    def _steady(self, kind: int) -> tuple[Message, list[float]]:
         for _ in range(_STEADY_TRIES):
             first = self._piece(0, kind)
             series = _series(first)
@@ -370,7 +377,7 @@ class BoardMemory:
                 steady = piece.count > 0 and _series(piece) == series
                 values += piece.amplitude_rad[: piece.count]
             if steady:
-                return Amplitudes(*series, np.array(values, dtype=np.float32), first.input)
+                return first, values
         raise TransferError(
             "the board's amplitudes change while they are read", "Try again when it is idle."
         )

@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tailbeat.board.fish import REST, Fish
+from tailbeat.board.fish import REST_CRC, Fish, rest
 from tailbeat.board.snapshot import BOARD_FILE, Snapshot
 from tailbeat.core import law
 from tailbeat.core.arrays import F64
@@ -263,8 +263,8 @@ def _restore(fish: Fish, held: Snapshot, copy: Path | None) -> None:
         fish.discard(pending)
     _set_params(fish, held.params)
     if held.reference is None and copy is not None:
-        _note_reference(copy, record_crc(REST.record()))
-    fish.upload_reference(held.reference or REST)
+        _note_reference(copy, REST_CRC)
+    fish.upload_reference(held.reference or rest())
     if held.learned is not None:
         fish.upload_learned(held.learned)
 

@@ -20,10 +20,10 @@ from typing import Any
 from tailbeat.board.fish import Fish
 from tailbeat.board.provision import OPEN, give_back, trust_of
 from tailbeat.core import decode, records
-from tailbeat.core.decode import Hex
 from tailbeat.core.errors import InputError, LinkLostError, Refused, TailbeatError, reason
 from tailbeat.core.faults import BAD_FORMAT
 from tailbeat.core.files import MAKE_ROOM, canonical, replace_file, write_whole
+from tailbeat.core.hex import Hex
 from tailbeat.core.param_names import with_current_names
 from tailbeat.link.messages import BoardInfo
 

@@ -12,10 +12,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError, reason
+from tailbeat.core.lazy_arrays import F32, F64, np
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _WITH_COMMAS = "Save it with commas between columns and decimal points, like 0.5,0.0791."

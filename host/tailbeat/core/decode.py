@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
 import msgspec
-import numpy as np
 
 from tailbeat.core.errors import InputError, did_you_mean, reason
+from tailbeat.core.extras import lazy
+from tailbeat.core.hex import Hex
+from tailbeat.core.lazy_arrays import np
+
+tomllib: Any = lazy("tomllib")
 
 T = TypeVar("T")
 Prepare = Callable[[Any], Any]
@@ -38,10 +41,6 @@ _AT = re.compile(r"(?s)(.*?)(?: - at (?:`key` in )?`\$\.?(.*)`)?$")
 
 class StrictTable(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     """A table of keys and values, of which no others are known."""
-
-
-class Hex(bytes):
-    """Bytes that a document holds as hexadecimal digits."""
 
 
 class Whole(int):
@@ -115,7 +114,7 @@ def _custom(kind: Any, value: Any) -> Any:
         return Whole(value)
     if kind is Path:
         return Path(value)
-    if get_origin(kind) is np.ndarray:
+    if getattr(get_origin(kind), "__name__", "") == "ndarray":
         (dtype,) = get_args(get_args(kind)[1])
         return _array(value, dtype)
     raise NotImplementedError(f"no rule to decode {kind}")

@@ -15,7 +15,6 @@ import sys
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -70,6 +69,8 @@ def checkout() -> Path | None:
 
 def _packages_of(extra: str) -> list[str]:
     """What the installed package's metadata lists for an extra."""
+    from importlib.metadata import PackageNotFoundError, requires  # 15 ms
+
     try:
         listed = requires(_PACKAGE) or []
     except PackageNotFoundError:

@@ -17,7 +17,6 @@ import io
 import json
 import math
 import os
-import secrets
 import sys
 import threading
 import time
@@ -48,7 +47,7 @@ def sync_folder(folder: Path) -> None:
 
 def temporary_beside(path: Path) -> Path:
     """A name in the same folder that no other process uses."""
-    return path.with_name(f".{path.name[:_NAME_SIGNS]}.{secrets.token_hex(6)}{TEMPORARY}")
+    return path.with_name(f".{path.name[:_NAME_SIGNS]}.{os.urandom(6).hex()}{TEMPORARY}")
 
 
 @contextlib.contextmanager

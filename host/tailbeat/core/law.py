@@ -9,11 +9,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError, did_you_mean, reason
+from tailbeat.core.lazy_arrays import F32, ArrayLike, NDArray, np
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.param_names import current_name
 

@@ -6,12 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Protocol, TypeVar
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import fault_info
+from tailbeat.core.lazy_arrays import F32, ArrayLike, NDArray, np
 from tailbeat.core.native import ffi, lib
 
 T = TypeVar("T")

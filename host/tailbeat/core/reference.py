@@ -13,13 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from tailbeat.core.arrays import F32, F64
 from tailbeat.core.csv import read_rows, read_table, value_of
 from tailbeat.core.errors import InputError, did_you_mean
 from tailbeat.core.files import replacing_text
+from tailbeat.core.lazy_arrays import F32, F64, NDArray, np
 from tailbeat.core.records import encode_reference
 
 Antiderivative = Callable[[F64], F64]

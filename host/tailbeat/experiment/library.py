@@ -13,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,12 +23,13 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import sync_folder, write_whole
 from tailbeat.core.reference import Reference
+from tailbeat.experiment.library_folder import FOLDER_VARIABLE as FOLDER_VARIABLE
+from tailbeat.experiment.library_folder import folder_of, library_folder
 from tailbeat.experiment.store import Kept, TrialStore, read_kept, trial_content
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import KnownFish, known_fish
 
-FOLDER_VARIABLE = "TAILBEAT_LOGBOOK"
 DISCARDED = "discarded"
 RUN = "run"
 _MARKS = (DISCARDED, RUN)
@@ -51,11 +51,7 @@ class TrialLibrary(TrialStore):
     def of(cls, unique_id: str, root: Path | None = None) -> TrialLibrary:
         """The trial library of a fish; the folder is made when something is first kept. ``root``:
         the folder of all trial libraries, if not the usual one. Raises InputError."""
-        if not (unique_id.isalnum() and unique_id.isascii() and len(unique_id) <= 64):
-            raise InputError(
-                f"'{unique_id}' names no fish", "Give the unique id that 'tailbeat info' prints."
-            )
-        return cls((root or _default_root()) / unique_id.lower())
+        return cls(folder_of(unique_id, root))
 
     def keep(self, path: Path, mark: str = "") -> Path:
         """Copies a trial's file; where its copy is, there or now. What is kept already, or the
@@ -192,10 +188,8 @@ class TrialLibrary(TrialStore):
 def library_of(fish: Fish, root: Path | None = None) -> TrialLibrary | None:
     """The trial library of a connected board. None for a simulated one in this process, which is a
     new fish every time, unless a folder is named."""
-    root = root or fish.library_root
-    if fish.sim is not None and root is None and FOLDER_VARIABLE not in os.environ:
-        return None
-    return TrialLibrary.of(fish.unique_id(), root)
+    folder = library_folder(fish, root)
+    return None if folder is None else TrialLibrary(folder)
 
 
 @contextlib.contextmanager
@@ -232,13 +226,6 @@ def name_reference(fish: Fish, reference: Reference) -> None:
     with contextlib.suppress(InputError):
         if (book := library_of(fish)) is not None:
             book.name_reference(reference.crc, reference.name)
-
-
-def _default_root() -> Path:
-    if named := os.environ.get(FOLDER_VARIABLE):
-        return Path(named).expanduser()
-    base = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
-    return Path(base) / "tailbeat" / "fish"
 
 
 def _sorted(folder: Path, pattern: str) -> list[Path]:

@@ -13,7 +13,7 @@ from typing import Protocol
 
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError
 from tailbeat.link.mavlink import Framer
-from tailbeat.link.transport import Transport
+from tailbeat.link.transport import InFront, Transport
 
 _MARKER = 0xFD
 _HEADER_BYTES = 10
@@ -230,7 +230,7 @@ class _Way:
         self._queue.clear()
 
 
-class ImpairedLine:
+class ImpairedLine(InFront):
     """``inner`` with faults: ``up`` to the board, ``down`` from it, each in the order given.
 
     Same seed and same calls, same faults. A frame passes when it is whole. Over a transport in

@@ -8,24 +8,28 @@ computer's clock says.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
-import secrets
 import stat
 import sys
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-from msgspec import Meta
 from platformdirs.unix import Unix
 
-from tailbeat.core import decode
-from tailbeat.core.decode import Hex
 from tailbeat.core.errors import InputError, reason
+from tailbeat.core.extras import lazy
 from tailbeat.core.files import locked, plain, replace_file
+from tailbeat.core.hex import Hex
+
+if TYPE_CHECKING:
+    import hashlib
+
+    from tailbeat.core import decode
+else:  # 20 ms that only keys need
+    hashlib, decode = lazy("hashlib"), lazy("tailbeat.core.decode")
 
 KEY_BYTES = 32
 _FORMAT = "tailbeat key 1"
@@ -95,7 +99,7 @@ def new_key(board: str, name: str = "") -> StoredKey:
     if not name.isprintable():
         raise InputError("the name of a key has signs that cannot be shown", "Choose another.")
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    return StoredKey(secrets.token_bytes(KEY_BYTES), board, name, now, _new_link_id())
+    return StoredKey(os.urandom(KEY_BYTES), board, name, now, _new_link_id())
 
 
 def encode_key(key: StoredKey) -> bytes:
@@ -104,7 +108,8 @@ def encode_key(key: StoredKey) -> bytes:
     return json.dumps(document, indent=2).encode() + b"\n"
 
 
-class _KeyFile(decode.StrictTable, forbid_unknown_fields=False):
+@dataclass(frozen=True)
+class _KeyFile:
     """A key's file."""
 
     format: Literal["tailbeat key 1"]
@@ -112,9 +117,9 @@ class _KeyFile(decode.StrictTable, forbid_unknown_fields=False):
     board: str
     name: str
     created: str
-    link_id: Annotated[int, Meta(ge=1, le=_LINK_IDS)]
-    used: Annotated[int, Meta(ge=0, le=_TIME_MAX)]
-    heard: Annotated[int, Meta(ge=0, le=_TIME_MAX)]
+    link_id: int
+    used: int
+    heard: int
 
 
 def decode_key(content: bytes, where: str) -> StoredKey:
@@ -126,7 +131,13 @@ def decode_key(content: bytes, where: str) -> StoredKey:
         raise InputError(f"{where} holds no key", remedy) from None
     board_ok = held.board.isalnum() and held.board.isascii() and len(held.board) <= 64
     words_ok = held.name.isprintable() and held.created.isprintable()
-    if len(held.key) != KEY_BYTES or not any(held.key) or not board_ok or not words_ok:
+    times_ok = 0 <= held.used <= _TIME_MAX and 0 <= held.heard <= _TIME_MAX
+    numbers_ok = 1 <= held.link_id <= _LINK_IDS and times_ok
+    if (
+        len(held.key) != KEY_BYTES
+        or not any(held.key)
+        or not (board_ok and words_ok and numbers_ok)
+    ):
         raise InputError(f"{where} holds no key", remedy)
     return StoredKey(**{f.name: getattr(held, f.name) for f in fields(StoredKey)})
 
@@ -134,7 +145,7 @@ def decode_key(content: bytes, where: str) -> StoredKey:
 def _new_link_id(other: int = 0) -> int:
     """Computers with one key sign under different numbers, or their frames would count as replays
     of each other's."""
-    number = 1 + secrets.token_bytes(1)[0] % _LINK_IDS
+    number = 1 + os.urandom(1)[0] % _LINK_IDS
     return number if number != other else 1 + number % _LINK_IDS
 
 

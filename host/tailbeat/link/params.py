@@ -12,7 +12,6 @@ from itertools import islice
 
 from tailbeat.core.errors import InputError, Refused, TransferError, did_you_mean
 from tailbeat.core.faults import BAD_PARAM, LAW_FEEDBACK, LAW_SIGN, WRONG_STATE, refusal
-from tailbeat.core.law import Law
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.param_names import current_name, old_names, renamed
 from tailbeat.link import _dialect as mavlink
@@ -298,25 +297,3 @@ def _check_range(name: str, value: float, known: _KnownParameter | None) -> None
     if known.step and rounded / known.step != round(rounded / known.step):
         wanted = "a whole number" if known.step == 1 else f"a multiple of {known.step:g}"
         raise InputError(f"{name} cannot be {value:g}", f"Give {wanted}.")
-
-
-_LAW = Law()
-THESIS: Mapping[str, float] = {
-    "AMP_MAX_RAD": _LAW.amplitude_max_rad,
-    "DU_MAX_RAD": _LAW.step_max_rad,
-    **_LAW.params(),
-}
-"""The learning law of (8.16) and its amplitude limit, as in the simulations of chapter 8."""
-
-PRESETS: Mapping[str, Mapping[str, float]] = {"thesis": THESIS}
-
-
-def preset(name: str) -> Mapping[str, float]:
-    """The values of a preset, by parameter name. Raises InputError."""
-    try:
-        return PRESETS[name]
-    except KeyError:
-        raise InputError(
-            f"there is no preset '{name}'.",
-            f"{did_you_mean(name, PRESETS)}Use {' or '.join(sorted(PRESETS))}.",
-        ) from None

@@ -10,14 +10,20 @@ the first time, and lets a forged frame move the time it compares the next ones 
 
 from __future__ import annotations
 
-import hashlib
-import hmac
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.errors import InputError
+from tailbeat.core.extras import lazy
 from tailbeat.link.keystore import KeyStore, StoredKey
+
+if TYPE_CHECKING:
+    import hashlib
+    import hmac
+else:  # 4 ms that only keys need
+    hashlib = lazy("hashlib")
+    hmac = lazy("hmac")
 
 TICKS_PER_S = 100_000  # of 10 us
 _SIGNED = 1  # of the incompatibility flags

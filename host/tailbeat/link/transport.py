@@ -164,6 +164,12 @@ class Transport(Protocol):
         """Gives the link up; may be called twice."""
 
 
+class InFront:
+    """What stands in front of the transport ``inner``, as a bad line does."""
+
+    inner: Transport
+
+
 class RoundTrip:
     """How long an answer takes on this link: mean and spread, as TCP keeps them."""
 

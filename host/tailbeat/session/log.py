@@ -14,9 +14,9 @@ from typing import Any
 from tailbeat.board.fish import Fish
 from tailbeat.board.snapshot import Snapshot, make_folder
 from tailbeat.core import decode
-from tailbeat.core.decode import Hex
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import plain, write_whole
+from tailbeat.core.hex import Hex
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import reference_crc
 from tailbeat.experiment.folder import Experiment

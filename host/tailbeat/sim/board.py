@@ -11,8 +11,7 @@ from typing import Any
 
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
-from tailbeat.link.impaired import ImpairedLine
-from tailbeat.link.transport import Transport
+from tailbeat.link.transport import InFront, Transport
 from tailbeat.sim.config import (
     DEFAULT_SEED,
     PLANTS,
@@ -134,7 +133,7 @@ class SimTransport:
 
 def in_process(transport: Transport) -> SimTransport | None:
     """The transport to a board in this process, behind whatever bad line; None for any other."""
-    while isinstance(transport, ImpairedLine):
+    while isinstance(transport, InFront):
         transport = transport.inner
     return transport if isinstance(transport, SimTransport) else None
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-import secrets
+import os
 import socket
+from dataclasses import asdict, dataclass
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from msgspec.structs import asdict
-
-from tailbeat.core.decode import StrictTable, decode
 from tailbeat.core.errors import InputError, did_you_mean
+from tailbeat.core.extras import lazy
 from tailbeat.core.native import ffi, lib
 from tailbeat.link.sockets import TcpTransport
 from tailbeat.link.transport import Transport
+
+if TYPE_CHECKING:
+    from tailbeat.core import decode
+else:
+    decode = lazy("tailbeat.core.decode")
 
 PLANTS = {"thesis": 0, "tank": 1, "reactive": 2}
 DEFAULT_SEED = 1
@@ -27,7 +31,7 @@ _BEHIND_RADIO, _BEHIND_CONSOLE = 3, 1
 def board_number(seed: float | None) -> int:
     """What tells a simulated board from others, the last 8 bytes of its unique id: the seed if one
     is given, so that it is the same board each time; otherwise random."""
-    return secrets.randbits(64) if seed is None else int(seed)
+    return int.from_bytes(os.urandom(8), "little") if seed is None else int(seed)
 
 
 def make_config(plant: str, seed: float, overrides: dict[str, float]) -> Any:
@@ -82,7 +86,8 @@ def _with_short(fields: list[str]) -> list[str]:
     return [*fields, *dict.fromkeys(short)]
 
 
-class _Settings(StrictTable, forbid_unknown_fields=False):
+@dataclass(frozen=True)
+class _Settings:
     """The answer to ``config``."""
 
     plant: str
@@ -104,7 +109,7 @@ def simulator_settings(transport: Transport) -> dict[str, Any]:
             with socket.create_connection(address, _TIMEOUT_S) as connection:
                 connection.sendall(b"config\n")
                 line = connection.makefile("rb").readline(_LONGEST_BYTES)
-            return asdict(decode(line, _Settings, "the simulator", ""))
+            return asdict(decode.decode(line, _Settings, "the simulator", ""))
         except ConnectionRefusedError:
             continue
         except (OSError, OverflowError, InputError):

@@ -14,10 +14,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.core.lazy_arrays import F64, np
 from tailbeat.core.native import ffi, lib
 from tailbeat.sim.config import config_values, make_config, senseless
 

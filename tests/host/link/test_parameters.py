@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.law import Averaging, Law
-from tailbeat.link.params import known_parameters, preset
+from tailbeat.link.params import known_parameters
+from tailbeat.link.presets import preset
 
 
 def test_list_has_all_with_their_limits(fish: Fish) -> None:

@@ -1,4 +1,4 @@
-"""Options that several commands have, each declared once; among them the way to the fish.
+"""Options that several commands have, each declared once.
 
 What commands do with the experiment and the trial library of a fish.
 """
@@ -6,20 +6,17 @@ What commands do with the experiment and the trial library of a fish.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
-from datetime import date
+from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
 from tempfile import TemporaryDirectory
-from typing import Annotated, ClassVar
+from typing import Annotated
 
+from tailbeat.app.cli._fish import connected
 from tailbeat.app.cli._lazy import opt
-from tailbeat.app.cli._terminal import bytes_bar, ended_as_by_ctrl_c, warn
+from tailbeat.app.cli._terminal import bytes_bar, warn
 from tailbeat.board.fish import Fish
-from tailbeat.board.provision import NO_KEY, connect_notice
 from tailbeat.core.errors import InputError, TailbeatError
-from tailbeat.core.files import replace_file
 from tailbeat.core.reference import Reference
 from tailbeat.experiment.current import current, named_reference
 from tailbeat.experiment.folder import Experiment
@@ -27,7 +24,6 @@ from tailbeat.experiment.library import DISCARDED, TrialLibrary, library_of
 from tailbeat.learning.assessment import progress_of
 from tailbeat.learning.convergence import Assessment
 from tailbeat.learning.identification import Identified
-from tailbeat.link.stream import StreamAddress, streaming
 from tailbeat.session.decide import log_decision, not_logged_text, pending_of, withdrawn_if_refused
 from tailbeat.session.preflight_step import PreflightLimits
 
@@ -36,15 +32,6 @@ def _with_rest(rest_s: float) -> PreflightLimits:
     return PreflightLimits(rest_s=rest_s)
 
 
-Connect = Annotated[
-    str | None,
-    opt(
-        "Serial path, tcp:HOST:PORT, udp:PORT, sim[:plant] or vboard; default: find the fish.",
-        "URL",
-        envvar="TAILBEAT_CONNECT",
-        show_default=False,
-    ),
-]
 IdentifiedFile = Annotated[
     Identified | None, opt("What 'session identify' wrote.", "FILE", by=Identified.load)
 ]
@@ -57,10 +44,6 @@ Into = Annotated[
 Rest = Annotated[
     PreflightLimits | None,
     opt("Rest since the last trial; default: 30.", "S", by=_with_rest, min=0.0, max=3600.0),
-]
-Stream = Annotated[
-    StreamAddress | None,
-    opt("Send what the board reports, for PlotJuggler.", "udp://HOST:PORT", by=StreamAddress.parse),
 ]
 Root = Annotated[Path, opt("Folder that holds the experiments.")]
 Yes = Annotated[bool, opt("Answer every question with yes.", name="--yes")]
@@ -90,61 +73,6 @@ ReferenceName = Annotated[
         by=named_reference,
     ),
 ]
-
-
-@dataclass(frozen=True)
-class ConnectOptions:
-    """Which fish; what is to know of its key is printed."""
-
-    notice: ClassVar[bool] = True
-    connect: Connect = None
-
-    def open(self) -> AbstractContextManager[Fish]:
-        """The fish for the length of a command."""
-        return connected(self.connect, self.notice)
-
-
-class SilentConnectOptions(ConnectOptions):
-    """Of commands about the key."""
-
-    notice: ClassVar[bool] = False
-
-
-ConnectedFish = Annotated[Fish, ConnectOptions]
-FishWithoutNotice = Annotated[Fish, SilentConnectOptions]
-
-
-@contextmanager
-def connected(
-    url: str | None, notice: bool = True, stream: StreamAddress | None = None
-) -> Iterator[Fish]:
-    """A fish for the length of a command, which SIGTERM and SIGHUP end as Ctrl-C does. ``notice``:
-    report on stderr when its key is missing, or was lost; once a day that nobody has set one.
-    ``stream``: where what the board reports is sent meanwhile."""
-    with ended_as_by_ctrl_c(), Fish.connect(url) as fish, streaming(fish.link, stream):
-        line = connect_notice(fish) if notice else None
-        if line and not (line == NO_KEY and _reported_today(fish)):
-            warn(line)
-        yield fish
-
-
-_REPORTED = "no-key-told"  # in the trial library of the fish: the day
-
-
-def _reported_today(fish: Fish) -> bool:
-    """Whether it was reported today; from now on it was. Without a trial library: not."""
-    today = date.today().isoformat()
-    try:
-        if (book := library_of(fish)) is None:
-            return False
-        path = book.folder / _REPORTED
-        if path.is_file() and path.read_text(encoding="utf-8", errors="replace") == today:
-            return True
-        path.parent.mkdir(parents=True, exist_ok=True)
-        replace_file(path, today)
-    except (TailbeatError, OSError):
-        pass
-    return False
 
 
 def current_of(connect: str | None) -> Experiment:

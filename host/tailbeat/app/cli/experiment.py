@@ -8,16 +8,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
+from tailbeat.app.cli._fish import Connect, ConnectedFish
 from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._options import (
-    EXPERIMENTS,
-    Connect,
-    ConnectedFish,
-    ReferenceName,
-    Root,
-    current_of,
-    warn_of_problems,
-)
+from tailbeat.app.cli._options import EXPERIMENTS, ReferenceName, Root, current_of, warn_of_problems
 from tailbeat.app.cli._terminal import Output, lines_of, numbers, pick, table, warn
 from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm

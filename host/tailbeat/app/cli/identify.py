@@ -13,9 +13,10 @@ import typer
 from numpy.typing import ArrayLike
 
 from tailbeat.app.cli._camera import CameraOptions, LiveCamera, TankCameraOptions, live_camera
+from tailbeat.app.cli._fish import Connect, connected
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._operator import TerminalOperator, terminal
-from tailbeat.app.cli._options import Connect, Library, connected
+from tailbeat.app.cli._options import Library
 from tailbeat.app.cli._terminal import Output, echo, json_asked, lines_of, progress_bar, table, warn
 from tailbeat.board.fish import Fish, board_reference
 from tailbeat.board.preserve import restore_interrupted

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from tailbeat.app.cli._fish import ConnectedFish
 from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._options import ConnectedFish
 from tailbeat.app.cli._terminal import (
     Display,
     Output,
@@ -26,7 +26,7 @@ from tailbeat.app.cli._terminal import (
     print_line,
     progress_bar,
 )
-from tailbeat.app.cli.board import imu_line
+from tailbeat.app.cli.info import imu_line
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, LinkLostError, TransferError
 from tailbeat.core.files import plain

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from tailbeat.app.cli._fish import ConnectedFish
 from tailbeat.app.cli._lazy import opt
-from tailbeat.app.cli._options import ConnectedFish
 from tailbeat.app.cli._terminal import Display, Output
 from tailbeat.board.fish import Fish
 from tailbeat.core.arrays import F64

@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
+from tailbeat.app.cli._fish import FishWithoutNotice
 from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._options import FishWithoutNotice
 from tailbeat.app.cli._terminal import Output, lines_of, warn
 from tailbeat.board.provision import KeyStatus, erase_key, key_status, set_key
 from tailbeat.core.errors import InputError, reason

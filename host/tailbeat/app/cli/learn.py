@@ -9,13 +9,12 @@ from typing import Any, Literal
 
 import typer
 
+from tailbeat.app.cli._fish import Connect, connected
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._options import (
-    Connect,
     IdentifiedFile,
     assessment_after,
     assessment_lines,
-    connected,
     pull_with_bar,
     warn_if_another,
 )

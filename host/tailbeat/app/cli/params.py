@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+from tailbeat.app.cli._fish import ConnectedFish
 from tailbeat.app.cli._lazy import arg
-from tailbeat.app.cli._options import ConnectedFish
 from tailbeat.app.cli._terminal import Output, pick, table, warn
+from tailbeat.core.extras import lazy
 from tailbeat.core.param_names import current_name
-from tailbeat.experiment.current import accept, note_all, note_set
-from tailbeat.link import params
 from tailbeat.link.params import Parameter
+
+if TYPE_CHECKING:
+    from tailbeat.experiment import current as in_experiment
+    from tailbeat.link import presets
+else:  # of commands that change something
+    in_experiment = lazy("tailbeat.experiment.current")
+    presets = lazy("tailbeat.link.presets")
 
 _KEYS = ("name", "value", "unit")
 Name = Annotated[str, arg("For example ILC_GAIN.", "NAME")]
@@ -52,7 +58,7 @@ def set_(
     Example: tailbeat params set ILC_GAIN 4.6
     """
     held = fish.params.set(_present(name), value)
-    note_set(fish, {held.name: held.value})
+    in_experiment.note_set(fish, {held.name: held.value})
     return _one(held)
 
 
@@ -66,9 +72,9 @@ def preset(
 
     Example: tailbeat params preset thesis
     """
-    values = params.preset(name)
+    values = presets.preset(name)
     held = fish.params.apply(values)
-    note_set(fish, {now.name: now.value for _, now in held.values()})
+    in_experiment.note_set(fish, {now.name: now.value for _, now in held.values()})
     rows = [
         [now.name, _number(now.value), now.unit, _unlike("was", before, now.value)]
         for before, now in held.values()
@@ -101,7 +107,7 @@ def save(fish: ConnectedFish) -> Output:
     Example: tailbeat params save
     """
     fish.params.save()
-    accepted = accept(fish)
+    accepted = in_experiment.accept(fish)
     words = [f"{name} {_number(now)} (was {_number(was)})" for name, (now, was) in accepted.items()]
     text = f"saved; from now on expected: {', '.join(words)}" if words else "saved"
     document = {"saved": True, "accepted": {name: now for name, (now, _) in accepted.items()}}
@@ -114,7 +120,7 @@ def load(fish: ConnectedFish) -> Output:
     Example: tailbeat params load
     """
     fish.params.load()
-    note_all(fish)
+    in_experiment.note_all(fish)
     return Output({"loaded": True}, "loaded")
 
 
@@ -124,5 +130,5 @@ def reset(fish: ConnectedFish) -> Output:
     Example: tailbeat params reset
     """
     fish.params.reset()
-    note_all(fish)
+    in_experiment.note_all(fish)
     return Output({"reset": True}, "all parameters at their defaults")

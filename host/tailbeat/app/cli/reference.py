@@ -9,12 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
+from tailbeat.app.cli._fish import Connect, ConnectedFish, connected
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._options import (
-    Connect,
-    ConnectedFish,
     IdentifiedFile,
-    connected,
     reference_names,
     sound_identified,
     warn_if_another,

@@ -7,14 +7,13 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from tailbeat.app.cli._fish import Connect, connected
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._options import (
     EXPERIMENTS,
-    Connect,
     Library,
     Plot,
     Root,
-    connected,
     sound_identified,
     verdict_lines,
 )

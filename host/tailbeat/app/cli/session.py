@@ -10,18 +10,16 @@ from typing import Any
 import typer
 
 from tailbeat.app.cli._camera import CameraOptions, LiveCamera, TankCameraOptions, live_camera
+from tailbeat.app.cli._fish import Connect, ConnectedFish, connected
 from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._operator import COUNTS, KINDS, Keys, TerminalOperator, terminal
 from tailbeat.app.cli._options import (
-    Connect,
-    ConnectedFish,
     IdentifiedFile,
     Into,
     Plot,
     ReferenceName,
     Rest,
     Yes,
-    connected,
     experiment_of,
     in_no_experiment,
     reference_names,

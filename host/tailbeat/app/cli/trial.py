@@ -1,4 +1,4 @@
-"""trial list, pull, show, speeds, discard; stop."""
+"""trial pull, show, speeds, discard."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from tailbeat.app.cli._fish import Connect, ConnectedFish, connected
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._options import (
-    Connect,
-    ConnectedFish,
-    connected,
     discard_and_keep,
     keep_in_library,
     pull_with_bar,
@@ -41,28 +39,6 @@ _SAME = "recomputed: the same speeds and sigmas, bit for bit"
 _SPEED_SIGMA_M_S = 0.001  # of speeds that come without one
 
 Number = Annotated[int | None, arg("Default: the last one.", "TRIAL", min=1, max=TRIAL_MAX)]
-
-
-def stop(fish: ConnectedFish) -> Output:
-    """Stop the tail now.
-
-    Example: tailbeat stop
-    """
-    fish.abort()
-    status = fish.status()
-    return Output(status, f"stopped: {status.state}")
-
-
-def list_(fish: ConnectedFish) -> Output:
-    """Print the trials whose logs are on the board.
-
-    Example: tailbeat trial list
-    """
-    found = fish.trials()
-    pending = fish.status().pending_trial
-    rows = [[t.number, t.size_bytes, "pending" if t.number == pending else ""] for t in found]
-    text = table(["trial", "bytes", ""], rows) if rows else "no trials on the board"
-    return Output({"trials": found, "pending_trial": pending}, text)
 
 
 def pull(

@@ -8,8 +8,9 @@ from functools import partial
 from threading import Event, Thread
 
 from tailbeat.app.cli._camera import CameraOptions, live_camera
+from tailbeat.app.cli._fish import Connect, Stream
 from tailbeat.app.cli._lazy import opt
-from tailbeat.app.cli._options import EXPERIMENTS, Connect, Root, Stream
+from tailbeat.app.cli._options import EXPERIMENTS, Root
 from tailbeat.app.cli._terminal import json_asked, print_line
 from tailbeat.app.web.picture import LastPicture
 from tailbeat.app.web.server import listen, serve

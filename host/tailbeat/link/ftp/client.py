@@ -6,7 +6,7 @@ Files on the board, over MAVLink FTP.
 from __future__ import annotations
 
 import contextlib
-import secrets
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,12 +112,17 @@ class RemoteFile:
     is_dir: bool
 
 
+def _first_number() -> int:
+    """Of a session: anything, so that no answer to another one is taken for its own."""
+    return int.from_bytes(os.urandom(2), "little")
+
+
 class FtpClient:
     """One transfer at a time. Every request is repeated until answered or given up."""
 
     def __init__(self, link: Link) -> None:
         self.link = link
-        self._seq = secrets.randbelow(0x10000)
+        self._seq = _first_number()
         self._session = self._seq & 0xFF
         self._repeated = False
 

@@ -22,14 +22,14 @@ def read_ahead(source: PictureSource) -> Iterator[Read]:
     if source.clock != "video":
         yield source.read
         return
-    reader = _Reader(source)
+    reader = _FilmReader(source)
     try:
         yield reader.read
     finally:
         reader.stop()
 
 
-class _Reader:
+class _FilmReader:
     def __init__(self, source: PictureSource) -> None:
         self._source = source
         self._found: queue.Queue[TimedImage | BaseException | None] = queue.Queue(AHEAD)
