@@ -21,6 +21,7 @@
 #include "imu/line.h"
 #include "imu_batch.h"
 #include "learn_past.h"
+#include "line_fit.h"
 #include "params/params.h"
 #include "shoal.h"
 #include "sim.h"
@@ -55,6 +56,7 @@ enum {
     NATIVE_SMOOTHER_AFTER = SMOOTHER_AFTER,
     NATIVE_IMU_BINARY_MAX_BYTES = IMU_BINARY_MAX_BYTES,
     NATIVE_PACKED_GAIN_MAX = PACKED_GAIN_MAX,
+    NATIVE_LINE_FIT_POSITIONS_MAX = LINE_FIT_POSITIONS_MAX,
     NATIVE_RECORD_MAX_BYTES = RECORD_MAX_BYTES,
     NATIVE_RECORD_TRIAL_MAX_BYTES = RECORD_TRIAL_MAX_BYTES
 };

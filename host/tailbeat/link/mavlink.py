@@ -12,6 +12,7 @@ from tailbeat.core.errors import LinkLostError, Refused, TailbeatError
 from tailbeat.core.faults import NOT_FRESH, NOT_SIGNED, UNKNOWN_COMMAND, WRONG_STATE, refusal
 from tailbeat.core.printable import printable
 from tailbeat.link import _dialect as mavlink
+from tailbeat.link.quick_frames import CRC_BYTES, HEADER_BYTES, decode
 from tailbeat.link.signing import Signing
 from tailbeat.link.transport import RoundTrip, Transport
 
@@ -34,8 +35,6 @@ _TIMEOUT_MAX_S = 2.0
 _INBOX_MAX = 8192
 _PROGRESS_MAX = 100  # of "in progress" before a command is said again
 _MARKER = 0xFD
-_HEADER_BYTES = 10
-_CRC_BYTES = 2
 _SIGNATURE_BYTES = 13
 _THINK_S = 0.1
 _SIGNED_TRIES = 3
@@ -63,7 +62,7 @@ class Framer:
             if at < 0:
                 buffer.clear()
                 return messages
-            if len(buffer) - at < _HEADER_BYTES:
+            if len(buffer) - at < HEADER_BYTES:
                 break
             length = self.frame_length(buffer, at)
             if length > len(buffer) - at:
@@ -84,12 +83,12 @@ class Framer:
         kind = mavlink.mavlink_map.get(int.from_bytes(buffer[at + 7 : at + 10], "little"))
         if flags & ~1 or kind is None or buffer[at + 1] > kind.unpacker.size:
             return 0
-        tail = _CRC_BYTES + (_SIGNATURE_BYTES if flags & 1 else 0)
-        return _HEADER_BYTES + int(buffer[at + 1]) + tail
+        tail = CRC_BYTES + (_SIGNATURE_BYTES if flags & 1 else 0)
+        return HEADER_BYTES + int(buffer[at + 1]) + tail
 
     def _decode(self, frame: bytearray) -> Message | None:
         try:
-            return self._mav.decode(frame)
+            return decode(self._mav, frame)
         except Exception:  # whatever damaged bytes provoke in generated code is a bad frame
             self.bad_frames += 1
             return None
@@ -183,6 +182,10 @@ class Link:
     def flush(self) -> None:
         """Forgets messages that have arrived and were not asked for."""
         self.pump()
+        self._inbox.clear()
+
+    def forget(self) -> None:
+        """As ``flush``, of what has been taken in."""
         self._inbox.clear()
 
     def begin(self) -> None:

@@ -341,16 +341,17 @@ def _step(run: _Run) -> None:
             _abort(run)
             run.abort_wanted = False  # only now: what a broken link swallowed is said again
         link.idle(_POLL_S * 2 / max(run.fish.clock.rate, 1.0))
-        link.flush()
+        link.forget()
         _send_speeds(run)
         run.fish.clock.keep()
     except LinkLostError:
         _reconnect(run)
         return
-    silent_s = (link.transport.now_s() - link.last_heard_s) * run.fish.clock.rate
-    if silent_s > _SILENCE_S:
+    now_s, last_s = link.transport.now_s(), link.last_heard_s
+    if (now_s - last_s) * run.fish.clock.rate > _SILENCE_S:
         _reconnect(run)
-    if (link.transport.now_s() - run.progress_at_s) * run.fish.clock.rate > _STALL_S + run.settle_s:
+        now_s = link.transport.now_s()
+    if (now_s - run.progress_at_s) * run.fish.clock.rate > _STALL_S + run.settle_s:
         state = run.status.state if run.status else "nothing"
         raise TailbeatError(
             f"trial {run.number} makes no progress; the board reports {state}; it is sent a stop",

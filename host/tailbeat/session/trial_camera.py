@@ -135,6 +135,7 @@ class TrialCamera:
         self._fish, self._camera, self._dispensable = fish, camera, dispensable
         self._emit, self._consult, self._abort = emit, consult, abort
         self._repeats = RepeatFilter(camera)
+        self._by_board = camera.clock == "board"
         self._gone = self._blind = self._frozen = False
         self._seen_at_s = 0.0
 
@@ -160,15 +161,22 @@ class TrialCamera:
 
     def send_speeds(self, swimming: bool) -> None:
         """What came since the last call. ``swimming``: the tail beats, or is about to."""
-        came = self._frames()
-        with self._kept():
-            frames = self._repeats.new([frame for frame in came if self._fits(frame.t_s)])
-            if not self._gone:
-                self._watch(bool(came), swimming)
-            if not (frames or self._gone) and swimming:
-                self._consult(Unseen(self._now_s()))
-            for frame in frames:
-                self._take(frame)
+        try:
+            self._send(swimming)
+        except LinkLostError:
+            raise
+        except Exception as error:
+            self._fail(error)
+
+    def _send(self, swimming: bool) -> None:
+        came = self._came()
+        frames = self._repeats.new([frame for frame in came if self._fits(frame.t_s)])
+        if not self._gone:
+            self._watch(bool(came), swimming)
+        if not (frames or self._gone) and swimming:
+            self._consult(Unseen(self._now_s()))
+        for frame in frames:
+            self._take(frame)
 
     def _take(self, frame: Frame) -> None:
         self._consult(frame)
@@ -187,18 +195,15 @@ class TrialCamera:
         """Whether a frame can be of this time; one from the future would hide those to come."""
         if not math.isfinite(t_s):
             return False
-        ahead_s = (t_s - self._now_s()) * (
-            1.0 if self._camera.clock == "board" else self._fish.clock.rate
-        )
+        ahead_s = (t_s - self._now_s()) * (1.0 if self._by_board else self._fish.clock.rate)
         return 0 <= self._board_s(t_s) <= _STAMP_MAX_S and ahead_s <= _STAMP_AHEAD_S
 
     def _board_s(self, t_s: float) -> float:
-        return t_s if self._camera.clock == "board" else self._fish.clock.board_s(t_s)
+        return t_s if self._by_board else self._fish.clock.board_s(t_s)
 
     def _now_s(self) -> float:
         """By the camera's clock."""
-        by_board = self._camera.clock == "board"
-        return self._fish.clock.now_s() if by_board else self._fish.transport.now_s()
+        return self._fish.clock.now_s() if self._by_board else self._fish.transport.now_s()
 
     @contextmanager
     def _kept(self) -> Iterator[None]:
@@ -216,14 +221,19 @@ class TrialCamera:
         self._emit(TrialWarning(f"{error}"))
 
     def _frames(self) -> list[Frame]:
+        came: list[Frame] = []
+        with self._kept():
+            came = self._came()
+        return came
+
+    def _came(self) -> list[Frame]:
         if self._gone:
             return []
-        with self._kept():
-            try:
-                return self._camera.frames()
-            except CameraGone as gone:
-                self._gone = True
-                self._mourn(gone)
+        try:
+            return self._camera.frames()
+        except CameraGone as gone:
+            self._gone = True
+            self._mourn(gone)
         return []
 
     def _mourn(self, gone: CameraGone) -> None:

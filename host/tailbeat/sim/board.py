@@ -165,12 +165,14 @@ class SimBoard(SimulatedBoard):
         )
         self.world = World(lib.sim_world(sim), controls)
         self._bytes = ffi.new("uint8_t[]", _READ_BYTES)
+        self._time_s = float(lib.sim_time_us(sim)) * 1e-6  # passes in run() alone
+        self._taken_s = -1.0  # time at which no picture was left
         self._frames = ffi.new("sim_camera_frame_t[]", _FRAMES_MAX)
 
     @property
     def time_s(self) -> float:
         """Simulated time."""
-        return float(lib.sim_time_us(self._sim)) * 1e-6
+        return self._time_s
 
     @property
     def board_time_s(self) -> float:
@@ -181,6 +183,7 @@ class SimBoard(SimulatedBoard):
         """Lets time pass; the time left (s) when bytes on ``port`` or a picture ended it early."""
         duration_us = max(_MIN_STEP_US, round(duration_s * 1e6))
         left_us = lib.sim_run(self._sim, duration_us, port, camera)
+        self._time_s = float(lib.sim_time_us(self._sim)) * 1e-6
         if camera:
             self._take_pictures()  # one left where it is would end the next wait at once
         return float(left_us) * 1e-6
@@ -197,11 +200,15 @@ class SimBoard(SimulatedBoard):
         return b"".join(pieces)
 
     def _take_pictures(self) -> bool:
-        taken = read_pictures(
-            lambda out, most: lib.sim_camera_read(self._sim, out, most), self._frames
-        )
+        if self._time_s == self._taken_s:
+            return False
+        self._taken_s = self._time_s
+        taken = read_pictures(self._read_pictures, self._frames)
         self._pictures += taken
         return bool(taken)
+
+    def _read_pictures(self, out: Any, most: int) -> int:
+        return int(lib.sim_camera_read(self._sim, out, most))
 
     def _storage(self) -> bytes:
         return bytes(ffi.buffer(lib.sim_flash(self._sim), FLASH_BYTES))

@@ -380,12 +380,13 @@ class Wires:
 
 def read_pictures(getter: Any, buffer: Any) -> list[CameraFrame]:
     """All that ``getter(out, max)`` has, by way of ``buffer``."""
-    found = []
-    while count := getter(buffer, len(buffer)):
-        found += [
-            CameraFrame(f.time_s, f.x_m, f.y_m, f.heading_rad, f.tail_rad, f.led)
-            for f in buffer[0:count]
-        ]
+    found: list[CameraFrame] = []
+    count = most = len(buffer)
+    while count == most:
+        count = getter(buffer, most)
+        for at in range(count):
+            f = buffer[at]
+            found.append(CameraFrame(f.time_s, f.x_m, f.y_m, f.heading_rad, f.tail_rad, f.led))
     return found
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.core.native import ffi, lib
 from tailbeat.core.speed_source import CameraGone, Frame
 from tailbeat.sensors.camera.source.picture import PictureSource, TimedImage
 from tailbeat.sensors.camera.speed import COVERAGE_MIN, SIGMA_MIN_M_S
@@ -201,56 +202,32 @@ class BeatFit:
     25 frames/s), within 0.6 of a frame. Nothing comes out of a window with more than 5 frames
     missing in a row or with fewer than 60 % of its frames; a jump no fish can swim (somebody
     carried it back) begins a new window. The standard deviation
-    follows from the scatter about the line.
+    follows from the scatter about the line. Raises InputError for more frames per beat than the
+    window holds. Computed by host/native/line_fit.c.
     """
 
     def __init__(self, beat_s: float = 1.0, fps: float = 25.0) -> None:
-        self._beat_s = beat_s
-        self._frame_s = 1.0 / fps
-        self._frames_min = max(3, math.ceil(COVERAGE_MIN * (round(beat_s * fps) + 1)))
-        self._window: deque[tuple[float, float]] = deque()
+        frames = round(beat_s * fps) + 1
+        if frames > lib.NATIVE_LINE_FIT_POSITIONS_MAX:
+            raise InputError(
+                f"{frames} pictures per beat are too many.", "Film with fewer pictures per second."
+            )
+        self._fit = ffi.new("line_fit_t *")
+        self._fit.beat_s = beat_s
+        self._fit.slack_s = _SPAN_SLACK_FRAMES * (1.0 / fps)
+        self._fit.gap_max_s = (BRIDGED_IN_A_ROW_MAX + 1.5) * (1.0 / fps)
+        self._fit.speed_max_m_s, self._fit.jump_m = _PLAUSIBLE_M_S, _JUMP_M
+        self._fit.sigma_min_m_s = SIGMA_MIN_M_S
+        self._fit.positions_min = max(3, math.ceil(COVERAGE_MIN * frames))
+        self._speed = ffi.new("line_fit_speed_t *")
 
     def reset(self) -> None:
         """Forgets all positions."""
-        self._window.clear()
+        self._fit.count = 0
 
     def add(self, t_s: float, x_m: float) -> SpeedSample | None:
         """Takes one position; frames that are not newer than the last are dropped."""
-        window = self._window
-        if not (math.isfinite(t_s) and math.isfinite(x_m)) or (window and t_s <= window[-1][0]):
+        speed = self._speed
+        if not lib.line_fit_add(self._fit, t_s, x_m, speed):
             return None
-        if window and abs(x_m - window[-1][1]) > _PLAUSIBLE_M_S * (t_s - window[-1][0]) + _JUMP_M:
-            window.clear()
-        window.append((t_s, x_m))
-        slack_s = _SPAN_SLACK_FRAMES * self._frame_s
-        while t_s - window[0][0] > self._beat_s + slack_s:
-            window.popleft()
-        if len(window) < self._frames_min or t_s - window[0][0] < self._beat_s - slack_s:
-            return None
-        return self._fit()
-
-    def _fit(self) -> SpeedSample | None:
-        """Least squares about the middle; sums of about 26 terms are cheaper than keeping them."""
-        window = self._window
-        count = len(window)
-        begin_s, x0 = window[0]
-        gap_max_s = (BRIDGED_IN_A_ROW_MAX + 1.5) * self._frame_s
-        st = sx = stt = stx = sxx = last = 0.0
-        for t_s, x_m in window:
-            t = t_s - begin_s
-            x = x_m - x0
-            if t - last > gap_max_s:
-                return None
-            last = t
-            st += t
-            sx += x
-            stt += t * t
-            stx += t * x
-            sxx += x * x
-        vtt = stt - st * st / count
-        vtx = stx - st * sx / count
-        speed = vtx / vtt
-        scatter = max(0.0, sxx - sx * sx / count - speed * vtx)
-        variance = scatter / (count - 2)
-        sigma = max(math.sqrt(variance / vtt), SIGMA_MIN_M_S)
-        return SpeedSample(begin_s + last / 2, speed, sigma)
+        return SpeedSample(speed.t_s, speed.speed_m_s, speed.sigma_m_s)
