@@ -194,7 +194,7 @@ def repeatable() -> Iterator[None]:
     with (
         tempfile.TemporaryDirectory() as keys,
         mock.patch.dict(os.environ, TAILBEAT_KEYS=keys),
-        mock.patch("tailbeat.link.ftp.client.secrets.randbelow", lambda _: 4711),
+        mock.patch("tailbeat.link.ftp.client._first_number", lambda: 4711),
     ):
         yield
 

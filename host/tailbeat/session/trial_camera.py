@@ -221,10 +221,13 @@ class TrialCamera:
         self._emit(TrialWarning(f"{error}"))
 
     def _frames(self) -> list[Frame]:
-        came: list[Frame] = []
-        with self._kept():
-            came = self._came()
-        return came
+        try:
+            return self._came()
+        except LinkLostError:
+            raise
+        except Exception as error:
+            self._fail(error)
+            return []
 
     def _came(self) -> list[Frame]:
         if self._gone:

@@ -263,7 +263,8 @@ class SimServer:
     def step(self) -> None:
         """Waits a moment for bytes, moves them, and lets the board's time catch up."""
         quiet = self._wall_s() - self._heard_s > _QUIET_AFTER_S
-        if ready := self._selector.select(_QUIET_STEP_S if quiet else _STEP_S):
+        quiet_s = max(_STEP_S, min(_QUIET_STEP_S, _QUIET_STEP_S / self._speed))
+        if ready := self._selector.select(quiet_s if quiet else _STEP_S):
             self._heard_s = self._wall_s()
         for key, _ in ready:
             key.data()

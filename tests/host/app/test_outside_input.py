@@ -12,7 +12,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 import tailbeat
@@ -82,8 +81,7 @@ def test_a_board_that_repeats_one_parameter(fish: Fish, monkeypatch: pytest.Monk
 def test_update_counts_that_are_none(
     value: float, fish: Fish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stored = SimpleNamespace(values=np.array([1.0, value], dtype=np.float32))
-    monkeypatch.setattr(fish, "_stored", lambda _: stored)
+    monkeypatch.setattr(fish, "_steady", lambda _: (SimpleNamespace(), [1.0, value]))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises(TransferError, match="update counts"):

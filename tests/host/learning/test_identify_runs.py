@@ -17,8 +17,8 @@ import pytest
 from tailbeat.app.cli import run
 from tailbeat.app.cli._operator import TerminalOperator
 from tailbeat.app.cli._terminal import Display, json_asked
-from tailbeat.app.cli.board import _reference
 from tailbeat.app.cli.identify import RunView
+from tailbeat.app.cli.info import _reference
 from tailbeat.board import preserve
 from tailbeat.board.fish import Fish
 from tailbeat.board.snapshot import Snapshot

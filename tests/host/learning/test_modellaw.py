@@ -14,7 +14,7 @@ import pytest
 
 from tailbeat.app.cli._terminal import Output
 from tailbeat.app.cli.learn import learn_with_model
-from tailbeat.board.fish import REST, Fish, board_reference
+from tailbeat.board.fish import Fish, board_reference, rest
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import plain
@@ -442,7 +442,7 @@ def test_another_fishs_model_is_told(
 def test_a_reference_that_stands_for_none(
     fish: Fish, book: TrialLibrary, identified_file: Path
 ) -> None:
-    fish.upload_reference(REST)
+    fish.upload_reference(rest())
     assert board_reference(fish) is None
     with pytest.raises(InputError, match="the board has no reference"):
         learn_with_model(fish, None, Identified.load(identified_file), False)

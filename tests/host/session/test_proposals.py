@@ -106,6 +106,7 @@ def causes(operator: Answers) -> list[Cause]:
 
 def test_a_limit_that_costs_error_is_raised_by_its_number(measured: Measured) -> None:
     high_rad, low_rad = measured.limit(), 0.35
+    measured.fish.link.run(20.0)  # it rests before its trial, so that the IMU tells its heading
     measured.limit(low_rad)
     operator = Answers()
     of = measured.run(operator, 1)
