@@ -20,6 +20,7 @@ from types import FrameType
 
 import pytest
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, before numpy is loaded
 CPU_LIMIT_S = 120.0
 
 

@@ -27,8 +27,8 @@ PACKAGE = "tailbeat"
 # page that leads through the whole job; by recordings as rows and
 # fits of many trials at once; by the comparison of departures; by
 # what connected commands load apart from the rest.
-FILES_MAX = 267
-CODE_LINES_MAX = 43_700
+FILES_MAX = 268
+CODE_LINES_MAX = 43_720
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

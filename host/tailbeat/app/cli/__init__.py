@@ -13,7 +13,10 @@ _INTERRUPTED = 130
 def main() -> None:
     """Entry point. Exit status: 0 done, 1 refused or failed, 2 wrongly called, 130 Ctrl-C."""
     import gc
+    import os
 
+    # Its matrices are small: a second thread of BLAS does nothing but wait for the first.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         status = run()
     except KeyboardInterrupt:  # before the first command was known
