@@ -2,20 +2,17 @@
 
 #include <math.h>
 
-static size_t place(const line_fit_t *fit, size_t number)
-{
+static size_t place(const line_fit_t *fit, size_t number) {
     return (fit->first + number) % LINE_FIT_POSITIONS_MAX;
 }
 
-static void drop_first(line_fit_t *fit)
-{
+static void drop_first(line_fit_t *fit) {
     fit->first = place(fit, 1u);
     fit->count--;
 }
 
 /* Sums of about 26 terms are cheaper than keeping them, and never drift. */
-static bool line(const line_fit_t *fit, line_fit_speed_t *speed)
-{
+static bool line(const line_fit_t *fit, line_fit_speed_t *speed) {
     double begin_s = fit->t_s[fit->first];
     double begin_m = fit->x_m[fit->first];
     double st = 0.0, sx = 0.0, stt = 0.0, stx = 0.0, sxx = 0.0, last = 0.0;
@@ -44,8 +41,7 @@ static bool line(const line_fit_t *fit, line_fit_speed_t *speed)
     return true;
 }
 
-bool line_fit_add(line_fit_t *fit, double t_s, double x_m, line_fit_speed_t *speed)
-{
+bool line_fit_add(line_fit_t *fit, double t_s, double x_m, line_fit_speed_t *speed) {
     if (!isfinite(t_s) || !isfinite(x_m)) {
         return false;
     }

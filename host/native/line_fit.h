@@ -9,12 +9,13 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-#define LINE_FIT_POSITIONS_MAX 4096u /* of one window: a beat of 4 s at 1000 pictures per second */
+/* Of one window: a beat of 4 s at 1000 pictures per second. */
+#define LINE_FIT_POSITIONS_MAX 4096u
 
 typedef struct {
-    double beat_s;      /* length of the window, both ends included; > 0 */
-    double slack_s;     /* by which its length may differ; >= 0 */
-    double gap_max_s;   /* between two positions, beyond which nothing comes out */
+    double beat_s;                /* length of the window, both ends included; > 0 */
+    double slack_s;               /* by which its length may differ; >= 0 */
+    double gap_max_s;             /* between two positions, beyond which nothing comes out */
     double speed_max_m_s, jump_m; /* a step that is further begins a new window */
     double sigma_min_m_s;
     size_t positions_min; /* of a window; >= 3, at most LINE_FIT_POSITIONS_MAX */

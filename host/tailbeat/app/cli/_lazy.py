@@ -23,6 +23,7 @@ from tailbeat.app.cli._terminal import Output, json_asked, present
 from tailbeat.core.extras import need
 
 PACKAGE = "tailbeat.app.cli"
+_GC_OBJECTS = 50_000  # new ones, after which garbage is looked for; a report makes a million
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,7 @@ def command_of(function: Callable[..., Output | None]) -> Callable[..., None]:
 
     @wraps(function)
     def call(**given: Any) -> None:
+        gc.set_threshold(_GC_OBJECTS)
         gc.enable()
         json_asked.set(given.pop("json"))
         given = {name: _made(makers[name], typed) for name, typed in given.items()}
