@@ -2,8 +2,8 @@
 
 Usage: run_all.py [--costs FILE] [--cpu-max S] NAME COMMAND [NAME COMMAND ...]. Every command goes
 to the shell. The exit status is 1 when at least one failed, or when all together used more than S
-seconds of CPU time, told on a machine as quick as the one of the budget: a fixed piece of work says
-how quick this one is now. CPU time is that of a command with all processes it waited for.
+seconds of CPU time, told on a machine as quick as the one of the budget: a fixed piece of work,
+before, between and after the commands, says how quick this one was. CPU time is that of a command with all processes it waited for.
 
 With FILE, the commands add lines `<CPU seconds> <what>` to the file that TEST_COSTS names; the
 largest are printed.
@@ -71,9 +71,10 @@ def largest(costs: Path) -> list[str]:
     return [f"  {cpu_s:7.1f} s  {what}" for cpu_s, what in sorted(rows, reverse=True)[:LARGEST]]
 
 
-def over_budget(outcomes: Sequence[Outcome], cpu_max_s: float) -> str:
-    """What was used beyond the budget; empty = nothing."""
-    slower = fixed_work() / WORK_S
+def over_budget(outcomes: Sequence[Outcome], works_s: Sequence[float], cpu_max_s: float) -> str:
+    """What was used beyond the budget; empty = nothing. ``works_s``: what the fixed work took on
+    the way."""
+    slower = sum(works_s) / len(works_s) / WORK_S
     used_s = sum(outcome.cpu_s for outcome in outcomes) / slower
     print(
         f"  {used_s:.0f} of {cpu_max_s:.0f} s of CPU time (this machine takes {slower:.2f} times)"
@@ -101,7 +102,10 @@ def main(arguments: Sequence[str]) -> int:
         asked.costs.unlink(missing_ok=True)
         os.environ[COSTS_VARIABLE] = str(asked.costs.resolve())
     pairs = zip(asked.pairs[::2], asked.pairs[1::2], strict=True)
-    outcomes = [run(name, command) for name, command in pairs]
+    outcomes, works_s = [], [fixed_work()]
+    for name, command in pairs:
+        outcomes.append(run(name, command))
+        works_s.append(fixed_work())
     if asked.costs is not None and (rows := largest(asked.costs)):
         print("\n  the most CPU time", *rows, sep="\n")
     print(f"\n  {'':24} {'wall':>9} {'CPU':>9}")
@@ -110,7 +114,7 @@ def main(arguments: Sequence[str]) -> int:
     failed = [outcome.name for outcome in outcomes if outcome.status != 0]
     if failed:
         print(f"FAILED: {len(failed)} of {len(outcomes)}: {', '.join(failed)}")
-    over = "" if asked.cpu_max is None else over_budget(outcomes, asked.cpu_max)
+    over = "" if asked.cpu_max is None else over_budget(outcomes, works_s, asked.cpu_max)
     if over:
         print(f"FAILED: {over}")
     return 1 if failed or over else 0
