@@ -3,7 +3,8 @@
 Usage: run_all.py [--costs FILE] [--cpu-max S] NAME COMMAND [NAME COMMAND ...]. Every command goes
 to the shell. The exit status is 1 when at least one failed, or when all together used more than S
 seconds of CPU time, told on a machine as quick as the one of the budget: a fixed piece of work,
-before, between and after the commands, says how quick this one was. CPU time is that of a command with all processes it waited for.
+before, between and after the commands, says how quick this one was. CPU time is that of a command
+with all processes it waited for.
 
 With FILE, the commands add lines `<CPU seconds> <what>` to the file that TEST_COSTS names; the
 largest are printed.
@@ -102,10 +103,11 @@ def main(arguments: Sequence[str]) -> int:
         asked.costs.unlink(missing_ok=True)
         os.environ[COSTS_VARIABLE] = str(asked.costs.resolve())
     pairs = zip(asked.pairs[::2], asked.pairs[1::2], strict=True)
-    outcomes, works_s = [], [fixed_work()]
+    judged = asked.cpu_max is not None
+    outcomes, works_s = [], [fixed_work()] if judged else []
     for name, command in pairs:
         outcomes.append(run(name, command))
-        works_s.append(fixed_work())
+        works_s += [fixed_work()] if judged else []
     if asked.costs is not None and (rows := largest(asked.costs)):
         print("\n  the most CPU time", *rows, sep="\n")
     print(f"\n  {'':24} {'wall':>9} {'CPU':>9}")
@@ -114,7 +116,7 @@ def main(arguments: Sequence[str]) -> int:
     failed = [outcome.name for outcome in outcomes if outcome.status != 0]
     if failed:
         print(f"FAILED: {len(failed)} of {len(outcomes)}: {', '.join(failed)}")
-    over = "" if asked.cpu_max is None else over_budget(outcomes, works_s, asked.cpu_max)
+    over = "" if not judged else over_budget(outcomes, works_s, asked.cpu_max)
     if over:
         print(f"FAILED: {over}")
     return 1 if failed or over else 0
