@@ -26,9 +26,9 @@ PACKAGE = "tailbeat"
 # trial, the stream of what the board reports, the demo's two laws and the
 # page that leads through the whole job; by recordings as rows and
 # fits of many trials at once; by the comparison of departures; by
-# what connected commands load apart from the rest.
-FILES_MAX = 268
-CODE_LINES_MAX = 43_720
+# what connected commands load apart from the rest; by a trial's conversation in C.
+FILES_MAX = 269
+CODE_LINES_MAX = 43_850
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

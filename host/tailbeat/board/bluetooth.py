@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from tailbeat.core.errors import ConnectError, InputError, TailbeatError
 from tailbeat.link import _dialect as mavlink
-from tailbeat.link.mavlink import Framer
+from tailbeat.link.frames import Framer
 from tailbeat.link.serial import BAUD
 from tailbeat.link.transport import Transport
 

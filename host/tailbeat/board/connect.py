@@ -16,8 +16,9 @@ from tailbeat.core.errors import (
 )
 from tailbeat.core.extras import lazy
 from tailbeat.link import _dialect as mavlink
+from tailbeat.link.frames import Framer
 from tailbeat.link.keystore import KeyStore
-from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Framer, Message
+from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Message
 from tailbeat.link.serial import SerialTransport, likely_ports
 from tailbeat.link.sockets import TcpTransport, UdpTransport
 from tailbeat.link.transport import Hearing, Transport

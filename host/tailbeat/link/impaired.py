@@ -12,7 +12,7 @@ from random import Random
 from typing import Protocol
 
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError
-from tailbeat.link.mavlink import Framer
+from tailbeat.link.frames import Framer
 from tailbeat.link.transport import InFront, Transport
 
 _MARKER = 0xFD

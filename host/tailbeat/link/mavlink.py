@@ -6,13 +6,14 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 from tailbeat.core.errors import LinkLostError, Refused, TailbeatError
 from tailbeat.core.faults import NOT_FRESH, NOT_SIGNED, UNKNOWN_COMMAND, WRONG_STATE, refusal
 from tailbeat.core.printable import printable
 from tailbeat.link import _dialect as mavlink
-from tailbeat.link.quick_frames import CRC_BYTES, HEADER_BYTES, decode
+from tailbeat.link.frames import Framer
 from tailbeat.link.signing import Signing
 from tailbeat.link.transport import RoundTrip, Transport
 
@@ -34,8 +35,6 @@ _BACKOFF = 1.3
 _TIMEOUT_MAX_S = 2.0
 _INBOX_MAX = 8192
 _PROGRESS_MAX = 100  # of "in progress" before a command is said again
-_MARKER = 0xFD
-_SIGNATURE_BYTES = 13
 _THINK_S = 0.1
 _SIGNED_TRIES = 3
 _COMES_WITHIN_S = {"TAILBEAT_STATUS": 4.0, "TAILBEAT_HEALTH": 12.0}
@@ -43,55 +42,12 @@ _FTP_OPCODE = 3  # in the payload
 _FTP_CHANGES = range(6, 14)  # create, write, remove, folders, open to write, truncate, rename
 
 
-class Framer:
-    """Bytes to messages. Behind the marker of a damaged frame the search goes on."""
+@dataclass(frozen=True, eq=False)
+class _Listener:
+    """Who gets the messages of ``kinds``; None = all."""
 
-    def __init__(self, mav: Any) -> None:
-        self._mav = mav
-        self._buffer = bytearray()
-        self.bad_frames = 0
-
-    def push(self, data: bytes) -> list[Message]:
-        """Messages completed by ``data``. Never raises, whatever the bytes are."""
-        buffer = self._buffer
-        buffer += data
-        messages: list[Message] = []
-        at = 0
-        while True:
-            at = buffer.find(_MARKER, at)
-            if at < 0:
-                buffer.clear()
-                return messages
-            if len(buffer) - at < HEADER_BYTES:
-                break
-            length = self.frame_length(buffer, at)
-            if length > len(buffer) - at:
-                break
-            message = self._decode(buffer[at : at + length]) if length else None
-            if message is None:
-                at += 1
-            else:
-                messages.append(message)
-                at += length
-        del buffer[:at]
-        return messages
-
-    @staticmethod
-    def frame_length(buffer: bytearray, at: int) -> int:
-        """Whole length of the frame at ``at``; 0 when this cannot be one."""
-        flags = buffer[at + 2]
-        kind = mavlink.mavlink_map.get(int.from_bytes(buffer[at + 7 : at + 10], "little"))
-        if flags & ~1 or kind is None or buffer[at + 1] > kind.unpacker.size:
-            return 0
-        tail = CRC_BYTES + (_SIGNATURE_BYTES if flags & 1 else 0)
-        return HEADER_BYTES + int(buffer[at + 1]) + tail
-
-    def _decode(self, frame: bytearray) -> Message | None:
-        try:
-            return decode(self._mav, frame)
-        except Exception:  # whatever damaged bytes provoke in generated code is a bad frame
-            self.bad_frames += 1
-            return None
+    callback: Callable[[Message], None]
+    kinds: frozenset[str] | None
 
 
 class Link:
@@ -120,8 +76,9 @@ class Link:
         self.mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
         self.framer = Framer(mavlink.MAVLink(None))
         self._inbox: deque[Message] = deque(maxlen=_INBOX_MAX)
-        self._callbacks: list[Callable[[Message], None]] = []
-        self._last_heartbeat_s = -math.inf
+        self._listeners: list[_Listener] = []
+        self.wanted: frozenset[str] | None = frozenset()  # kinds somebody listens to; None = all
+        self.last_heartbeat_s = -math.inf
         self._distrusted: Refused | None = None
         self._more_tries = 0
 
@@ -135,17 +92,28 @@ class Link:
         self.transport.reopen()
         self.framer = Framer(mavlink.MAVLink(None))
         self._inbox.clear()
-        self._last_heartbeat_s = -math.inf
+        self.last_heartbeat_s = -math.inf
 
-    def subscribe(self, callback: Callable[[Message], None]) -> Callable[[], None]:
-        """Calls back for every message from the board; call the result to stop that."""
-        self._callbacks.append(callback)
+    def subscribe(
+        self, callback: Callable[[Message], None], kinds: Iterable[str] | None = None
+    ) -> Callable[[], None]:
+        """Calls back for every message from the board, or those of ``kinds`` (names); call the
+        result to stop that."""
+        listener = _Listener(callback, None if kinds is None else frozenset(kinds))
+        self._listeners.append(listener)
+        self._note_wanted()
 
         def unsubscribe() -> None:
             with contextlib.suppress(ValueError):
-                self._callbacks.remove(callback)
+                self._listeners.remove(listener)
+            self._note_wanted()
 
         return unsubscribe
+
+    def _note_wanted(self) -> None:
+        kinds = [listener.kinds for listener in self._listeners]
+        named = frozenset[str]().union(*filter(None, kinds))
+        self.wanted = None if None in kinds else named
 
     def send(self, message: Message) -> None:
         """Packs and sends one message, signed when the board wants that. Raises Refused when it
@@ -164,7 +132,11 @@ class Link:
             self._send_heartbeat(now)
         data = self.transport.read()
         if data:
-            self._dispatch(self.framer.push(data), now)
+            self.take(data, now)
+
+    def take(self, data: bytes, now_s: float) -> None:
+        """Takes in what has arrived from the board by ``now_s``."""
+        self._dispatch(self.framer.push(data), now_s)
 
     def idle(self, timeout_s: float) -> None:
         """Waits once, at most ``timeout_s`` and less when bytes or a heartbeat are due; pumps."""
@@ -289,7 +261,7 @@ class Link:
             if message is None:
                 raise self.lost(1, _COMES_WITHIN_S[kind])
             return message
-        number = _message_id(kind)
+        number = message_id(kind)
         command = mavlink.MAV_CMD_REQUEST_MESSAGE
         values = [float(v) for v in (number, *params)] + [0.0] * (6 - len(params))
 
@@ -370,10 +342,10 @@ class Link:
         return True
 
     def _heartbeat_due_s(self) -> float:
-        return self._last_heartbeat_s + self.heartbeat_period_s / max(self.rate, 1e-3)
+        return self.last_heartbeat_s + self.heartbeat_period_s / max(self.rate, 1e-3)
 
     def _send_heartbeat(self, now: float) -> None:
-        self._last_heartbeat_s = now
+        self.last_heartbeat_s = now
         self.send(
             mavlink.MAVLink_heartbeat_message(
                 mavlink.MAV_TYPE_GCS,
@@ -394,8 +366,10 @@ class Link:
                 continue
             self.last_heard_s = now
             self._inbox.append(message)
-            for callback in tuple(self._callbacks):
-                callback(message)
+            kind = message.get_type()
+            for listener in tuple(self._listeners):
+                if listener.kinds is None or kind in listener.kinds:
+                    listener.callback(message)
 
 
 def _has_stamp(stamp: int) -> Where:
@@ -409,7 +383,8 @@ def text_of(field: bytes | str) -> str:
     return printable(field.split("\0", 1)[0])
 
 
-def _message_id(kind: str) -> int:
+def message_id(kind: str) -> int:
+    """The number of a message by its name. Raises TailbeatError for one the dialect has not."""
     for number, message in mavlink.mavlink_map.items():
         if message.msgname == kind:
             return int(number)

@@ -45,8 +45,8 @@ class BoardClock:
         self._anchor: ClockSample | None = None
         self._rate_error = float("inf")
         self._asked_s: dict[int, float] = {}
-        self._next_s = 0.0
-        link.subscribe(self._hear)
+        self.next_s = 0.0  # of the transport's clock: when keep() asks again
+        link.subscribe(self._hear, ["TIMESYNC"])
 
     @property
     def round_trip_s(self) -> float:
@@ -66,21 +66,27 @@ class BoardClock:
             self._link.run(_SPACING_S)
             self._ask()
             self._link.recv("TIMESYNC", self._link.patient(0.2))
-        self._next_s = self._link.transport.now_s() + _RESYNC_S
+        self.next_s = self._link.transport.now_s() + _RESYNC_S
 
     def keep(self) -> None:
         """Asks again now and then; call it in long waits. Does not wait for the answer."""
         now = self._link.transport.now_s()
-        if now >= self._next_s:
-            self._next_s = now + _RESYNC_S / max(self.rate, 1.0)
+        if now >= self.next_s:
+            self.next_s = now + _RESYNC_S / max(self.rate, 1.0)
             self._ask()
 
-    def board_s(self, host_s: float) -> float:
-        """Board time at ``host_s`` of the transport's clock."""
+    @property
+    def reading(self) -> ClockSample:
+        """The exchange in use; the first one is made now."""
         if self._best is None:
             self.sync()
         assert self._best is not None
-        return self._best.board_s + (host_s - self._best.host_s) * self.rate
+        return self._best
+
+    def board_s(self, host_s: float) -> float:
+        """Board time at ``host_s`` of the transport's clock."""
+        best = self._best or self.reading
+        return best.board_s + (host_s - best.host_s) * self.rate
 
     def now_s(self) -> float:
         """Board time now."""
@@ -127,7 +133,7 @@ class BoardClock:
         self._link.send(mavlink.MAVLink_timesync_message(0, stamp))
 
     def _hear(self, message: Message) -> None:
-        if message.get_type() != "TIMESYNC" or message.tc1 == 0:
+        if message.tc1 == 0:
             return
         sent_s = self._asked_s.pop(message.ts1, None)
         if sent_s is None:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -341,6 +341,7 @@ class LiveReporter:
     fish: Fish
     operator: Operator
     simulated: bool
+    KINDS: ClassVar = ("TAILBEAT_STATUS", "TAILBEAT_LIVE", "TAILBEAT_BEAT")
     _values: LiveValues = field(init=False)
     _told_s: float = field(default=-math.inf, init=False)
     _running: bool = field(default=False, init=False)
@@ -410,7 +411,7 @@ def execute(
 
     seen, camera = FrameRecorder(), around.camera
     guard = guards_of(guarded, seen, live)
-    stop_listening = fish.link.subscribe(live.hear)
+    stop_listening = fish.link.subscribe(live.hear, LiveReporter.KINDS)
     try:
         outcome = run_trial(
             fish, camera, on_event, guard, around.reconnect_s, direction_rad=heading_rad

@@ -47,9 +47,7 @@ class _TrialEndListener:
         self._time_s = -math.inf
 
     def hear(self, message: Message) -> None:
-        """Any message of the board's."""
-        if message.get_type() != "TAILBEAT_STATUS":
-            return
+        """A TAILBEAT_STATUS of the board's."""
         status = BoardStatus.of(message)
         if status.time_s < self._time_s:
             self.trial = None  # it has restarted
@@ -67,7 +65,7 @@ def watch(fish: Fish) -> None:
     """From now on this process sees swims end by itself."""
     if fish not in _watches:
         _watches[fish] = seen = _TrialEndListener()
-        fish.link.subscribe(seen.hear)
+        fish.link.subscribe(seen.hear, ["TAILBEAT_STATUS"])
 
 
 def rested_s(fish: Fish, status: BoardStatus) -> float | None:

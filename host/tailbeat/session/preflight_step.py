@@ -131,10 +131,9 @@ def countdown(fish: Fish, limits: PreflightLimits, operator: Operator) -> None:
     heard: list[BoardStatus] = []
 
     def hear(message: Message) -> None:
-        if message.get_type() == "TAILBEAT_STATUS":
-            heard.append(BoardStatus.of(message))
+        heard.append(BoardStatus.of(message))
 
-    stop_listening = fish.link.subscribe(hear)
+    stop_listening = fish.link.subscribe(hear, ["TAILBEAT_STATUS"])
     heartbeat_period_s = fish.link.heartbeat_period_s
     fish.link.heartbeat_period_s = _HEARTBEAT_S
     try:

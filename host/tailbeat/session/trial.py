@@ -29,9 +29,10 @@ from tailbeat.session.events import (
 from tailbeat.session.guards import Guard
 from tailbeat.session.outcome import StopKind, StopReason, end_of
 from tailbeat.session.trial_camera import TrialCamera, camera_of
+from tailbeat.session.trial_wire import SILENCE_S, TrialWire
 
+_HEARD = ("TAILBEAT_STATUS", "TAILBEAT_BEAT", "STATUSTEXT")
 _POLL_S = 0.02  # of board time; a camera behind another socket does not end a wait
-_SILENCE_S = 3.0  # of board time, after which the link counts as lost
 _SETTLE_MARGIN_S = 2.0
 _STILL_LOOK_S = 0.5
 _STALL_S = 60.0  # of board time without a new beat or state; no beat and no settling is longer
@@ -53,6 +54,7 @@ class _Run:
     settle_s: float = 3.0
     source: SpeedSource = field(default_factory=lambda: source_info(0))
     camera: TrialCamera | None = None
+    wire: TrialWire = field(init=False)
     asked: set[str] = field(default_factory=set)
     number: int = 0
     iteration: int = 0
@@ -120,7 +122,7 @@ def run_trial(
 
 def _execute(run: _Run, camera: Camera | None) -> TrialOutcome:
     fish = run.fish
-    stop_listening = fish.link.subscribe(lambda message: _hear(run, message))
+    stop_listening = fish.link.subscribe(lambda message: _hear(run, message), _HEARD)
     heartbeat_period_s = fish.link.heartbeat_period_s
     fish.link.heartbeat_period_s = _HEARTBEAT_S
     try:
@@ -174,6 +176,7 @@ def _prepare(run: _Run, camera: Camera | None) -> None:
         )
         run.camera.begin()
     fish.clock.sync()
+    run.wire = TrialWire(fish, run.camera, run.guard is not None, lambda: run.abort_wanted)
     if fish.status().state != "ARMED":
         fish.arm()
 
@@ -326,8 +329,7 @@ def _consult(run: _Run, what: object) -> None:
 
 def _has_ended(run: _Run) -> bool:
     """All there was to swim, or it does not swim at all; not while the start is being said."""
-    status = run.status
-    if status is None:
+    if (status := run.status) is None:
         return False
     whole = status.beats > 0 and status.beats - 1 in run.beats
     return whole or status.state not in ("ARMED", "RUNNING")
@@ -340,7 +342,8 @@ def _step(run: _Run) -> None:
         if run.abort_wanted and run.stopped_at_s is None:
             _abort(run)
             run.abort_wanted = False  # only now: what a broken link swallowed is said again
-        link.idle(_POLL_S * 2 / max(run.fish.clock.rate, 1.0))
+        rate, stall_s = run.fish.clock.rate, _STALL_S + run.settle_s
+        run.wire.idle(_POLL_S * 2 / max(rate, 1.0), run.progress_at_s + stall_s / rate)
         link.forget()
         _send_speeds(run)
         run.fish.clock.keep()
@@ -348,7 +351,7 @@ def _step(run: _Run) -> None:
         _reconnect(run)
         return
     now_s, last_s = link.transport.now_s(), link.last_heard_s
-    if (now_s - last_s) * run.fish.clock.rate > _SILENCE_S:
+    if (now_s - last_s) * run.fish.clock.rate > SILENCE_S:
         _reconnect(run)
         now_s = link.transport.now_s()
     if (now_s - run.progress_at_s) * run.fish.clock.rate > _STALL_S + run.settle_s:

@@ -32,6 +32,7 @@ from tailbeat.sensors.camera.render.source import RemoteCamera, SimulatedCamera
 from tailbeat.sensors.camera.tracking.live import BeatFit, SpeedSample
 from tailbeat.sensors.camera.tracking.tracker import RepeatFilter, is_computed
 from tailbeat.session.events import OnEvent, TrialWarning
+from tailbeat.sim.board import SimulatedBoard
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -130,14 +131,14 @@ class TrialCamera:
         direction_rad: float = 0.0,
     ) -> None:
         self.fit = BeatFit(window_s, camera.fps)
-        self._along = (math.cos(direction_rad), math.sin(direction_rad))
+        self.along = (math.cos(direction_rad), math.sin(direction_rad))
         self.failure: Exception | None = None
         self._fish, self._camera, self._dispensable = fish, camera, dispensable
         self._emit, self._consult, self._abort = emit, consult, abort
         self._repeats = RepeatFilter(camera)
         self._by_board = camera.clock == "board"
         self._gone = self._blind = self._frozen = False
-        self._seen_at_s = 0.0
+        self.seen_at_s = 0.0
 
     def begin(self) -> None:
         """As look_afresh, while nothing swims yet: raises what the camera raises."""
@@ -150,7 +151,7 @@ class TrialCamera:
         self._frames()
         self.fit.reset()
         self._repeats.forget()
-        self._seen_at_s = self._fish.link.transport.now_s()
+        self.seen_at_s = self._fish.link.transport.now_s()
         with self._kept():
             self._consult(TrackReset())
 
@@ -158,6 +159,20 @@ class TrialCamera:
         """An executed beat."""
         if abs(beat.amplitude_rad) >= _SURE_RAD:
             self._repeats.must_move()
+
+    def sees(self, board: SimulatedBoard) -> bool:
+        """Whether it is the simulated camera of ``board``, which tells positions."""
+        return type(self._camera) is SimulatedCamera and self._camera.board is board
+
+    @property
+    def plain(self) -> bool:
+        """There is nothing to be said about it: it is there, and was not long without a picture."""
+        return not (self._gone or self._blind)
+
+    def look(self, frame: Frame) -> None:
+        """Shows the guard one frame."""
+        with self._kept():
+            self._consult(frame)
 
     def send_speeds(self, swimming: bool) -> None:
         """What came since the last call. ``swimming``: the tail beats, or is about to."""
@@ -188,8 +203,8 @@ class TrialCamera:
 
     def _way_m(self, frame: Frame) -> float:
         """Along the trial. A camera that tells no y is right for a trial along x."""
-        across = self._along[1]
-        return frame.x_m * self._along[0] + frame.y_m * across if across else frame.x_m
+        across = self.along[1]
+        return frame.x_m * self.along[0] + frame.y_m * across if across else frame.x_m
 
     def _fits(self, t_s: float) -> bool:
         """Whether a frame can be of this time; one from the future would hide those to come."""
@@ -249,8 +264,8 @@ class TrialCamera:
         """Says once when the fish is out of sight while the tail beats."""
         now_s = self._fish.transport.now_s()
         if seen or not swimming:
-            self._seen_at_s = now_s
-        blind = (now_s - self._seen_at_s) * self._fish.clock.rate > _BLIND_S
+            self.seen_at_s = now_s
+        blind = (now_s - self.seen_at_s) * self._fish.clock.rate > _BLIND_S
         if blind and not self._blind:
             words = getattr(self._camera, "blind_words", "the camera sends no pictures")
             self._emit(TrialWarning(f"{words}; beats go unmeasured"))

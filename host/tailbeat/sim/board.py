@@ -21,7 +21,7 @@ from tailbeat.sim.config import (
     make_config,
     senseless,
 )
-from tailbeat.sim.world import BoardControls, CameraFrame, World, read_pictures
+from tailbeat.sim.world import BoardControls, CameraFrame, World, picture_of, read_pictures
 
 __all__ = ["CONSOLE", "PLANTS", "RADIO", "SimBoard", "SimTransport", "config_field"]
 
@@ -106,19 +106,19 @@ class SimTransport:
     def __init__(self, board: SimulatedBoard, port: int = RADIO) -> None:
         self.name = board.name
         self.board = board
-        self._port = port
+        self.port = port
 
     def read(self) -> bytes:
         """What the board has sent."""
-        return self.board.read(self._port)
+        return self.board.read(self.port)
 
     def write(self, data: bytes) -> None:
         """Bytes towards the board."""
-        self.board.write(data, self._port)
+        self.board.write(data, self.port)
 
     def wait(self, timeout_s: float) -> None:
         """Lets simulated time pass, until bytes or a picture arrive or it is over."""
-        self.board.run(timeout_s, self._port, self.board.watched)
+        self.board.run(timeout_s, self.port, self.board.watched)
 
     def now_s(self) -> float:
         """Simulated time."""
@@ -187,6 +187,18 @@ class SimBoard(SimulatedBoard):
         if camera:
             self._take_pictures()  # one left where it is would end the next wait at once
         return float(left_us) * 1e-6
+
+    def converse(self, wire: Any) -> CameraFrame | None:
+        """Lets time pass as trial_wire_run (host/native/trial_wire.h) does; the picture that it
+        shows, or None for an event."""
+        shown = lib.trial_wire_run(wire, self._sim) == lib.TRIAL_WIRE_PICTURE
+        self._time_s = self._taken_s = float(lib.sim_time_us(self._sim)) * 1e-6
+        return picture_of(wire.pictures[0]) if shown else None
+
+    def take_pictures_of(self, wire: Any) -> None:
+        """Keeps the pictures that ``converse`` has left, as if they came now."""
+        self._pictures += [picture_of(wire.pictures[at]) for at in range(wire.picture_count)]
+        wire.picture_count = 0
 
     def write(self, data: bytes, port: int = RADIO) -> int:
         """Bytes towards the board."""

@@ -378,6 +378,11 @@ class Wires:
         )
 
 
+def picture_of(f: Any) -> CameraFrame:
+    """A sim_camera_frame_t."""
+    return CameraFrame(f.time_s, f.x_m, f.y_m, f.heading_rad, f.tail_rad, f.led)
+
+
 def read_pictures(getter: Any, buffer: Any) -> list[CameraFrame]:
     """All that ``getter(out, max)`` has, by way of ``buffer``."""
     found: list[CameraFrame] = []
@@ -385,8 +390,7 @@ def read_pictures(getter: Any, buffer: Any) -> list[CameraFrame]:
     while count == most:
         count = getter(buffer, most)
         for at in range(count):
-            f = buffer[at]
-            found.append(CameraFrame(f.time_s, f.x_m, f.y_m, f.heading_rad, f.tail_rad, f.led))
+            found.append(picture_of(buffer[at]))
     return found
 
 

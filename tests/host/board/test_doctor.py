@@ -28,8 +28,8 @@ from tailbeat.board.provision import HELD, MISSING, OPEN, KeyStatus, set_key
 from tailbeat.core.errors import InputError
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link import serial
+from tailbeat.link.frames import Framer
 from tailbeat.link.keystore import KeyStore, StoredKey
-from tailbeat.link.mavlink import Framer
 from tailbeat.link.transport import Transport
 from tailbeat.sim.board import CONSOLE, SimBoard, SimTransport
 

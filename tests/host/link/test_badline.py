@@ -7,6 +7,7 @@ import pytest
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError
 from tailbeat.link import _dialect as mavlink
+from tailbeat.link.frames import Framer
 from tailbeat.link.impaired import (
     Corrupt,
     Cut,
@@ -21,7 +22,6 @@ from tailbeat.link.impaired import (
     faults_of,
     hc05,
 )
-from tailbeat.link.mavlink import Framer
 
 COUNT = 2000
 

@@ -16,7 +16,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from tailbeat.link import _dialect as mavlink
-from tailbeat.link.quick_frames import decode
+from tailbeat.link.frames import decode
 
 ROOT = Path(__file__).resolve().parents[3]
 OURS = ROOT / "wire" / "tailbeat.xml"

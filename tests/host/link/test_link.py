@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import LinkLostError, Refused
 from tailbeat.link import _dialect as mavlink
-from tailbeat.link.mavlink import Framer
+from tailbeat.link.frames import Framer
 
 
 def mav() -> mavlink.MAVLink:

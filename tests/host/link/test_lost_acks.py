@@ -11,8 +11,9 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import Refused
 from tailbeat.link import _dialect as mavlink
+from tailbeat.link.frames import Framer
 from tailbeat.link.impaired import Cut, Delay, Duplicate, ImpairedLine
-from tailbeat.link.mavlink import Framer, Message
+from tailbeat.link.mavlink import Message
 from tailbeat.session.events import LinkLost, LinkRestored, TrialEnded
 from tailbeat.session.trial import run_trial
 

@@ -15,7 +15,7 @@ from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import Refused
 from tailbeat.link import _dialect as mavlink
-from tailbeat.link.mavlink import Framer
+from tailbeat.link.frames import Framer
 from tailbeat.link.messages import IMU_HEALTH, imu_health, unwrapped_s
 
 BOOT_US = (1 << 32) - 500_000  # the board's clock; its low half wraps soon

@@ -25,8 +25,8 @@ from tailbeat.board.provision import (
 from tailbeat.core import records
 from tailbeat.core.errors import LinkLostError, Refused
 from tailbeat.link import _dialect as mavlink
+from tailbeat.link.frames import Framer
 from tailbeat.link.keystore import KeyStore, StoredKey
-from tailbeat.link.mavlink import Framer
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.trial import run_trial
 from tailbeat.sim import emulated

@@ -42,7 +42,7 @@ class SimulatedCamera:
     computed = True  # RepeatFilter lets all its positions pass
 
     def __init__(self, board: SimulatedBoard) -> None:
-        self._board = board
+        self.board = board
         board.watched = True
         board.camera_frames()
         self.name = board.name
@@ -51,15 +51,15 @@ class SimulatedCamera:
 
     def frames(self) -> list[Frame]:
         """Frames since the last call."""
-        return [_frame_of(moment) for moment in self.moments()]
+        return [frame_of(moment) for moment in self.moments()]
 
     def moments(self) -> list[CameraFrame]:
         """The same with the tail and the LED."""
-        return self._board.camera_frames()
+        return self.board.camera_frames()
 
     def close(self) -> None:
         """Pictures end no wait any more."""
-        self._board.watched = False
+        self.board.watched = False
 
 
 class RemoteCamera:
@@ -87,7 +87,7 @@ class RemoteCamera:
 
     def frames(self) -> list[Frame]:
         """Frames since the last call; raises CameraGone once when there will be no more."""
-        return [_frame_of(moment) for moment in self.moments()]
+        return [frame_of(moment) for moment in self.moments()]
 
     def moments(self) -> list[CameraFrame]:
         """The same with the tail and the LED, as far as they are sent."""
@@ -122,7 +122,8 @@ class RemoteCamera:
             self._socket.close()
 
 
-def _frame_of(moment: CameraFrame) -> Frame:
+def frame_of(moment: CameraFrame) -> Frame:
+    """What a tracker would tell of it."""
     return Frame(moment.time_s, moment.x_m, moment.y_m, moment.heading_rad)
 
 

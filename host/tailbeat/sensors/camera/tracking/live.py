@@ -212,22 +212,22 @@ class BeatFit:
             raise InputError(
                 f"{frames} pictures per beat are too many.", "Film with fewer pictures per second."
             )
-        self._fit = ffi.new("line_fit_t *")
-        self._fit.beat_s = beat_s
-        self._fit.slack_s = _SPAN_SLACK_FRAMES * (1.0 / fps)
-        self._fit.gap_max_s = (BRIDGED_IN_A_ROW_MAX + 1.5) * (1.0 / fps)
-        self._fit.speed_max_m_s, self._fit.jump_m = _PLAUSIBLE_M_S, _JUMP_M
-        self._fit.sigma_min_m_s = SIGMA_MIN_M_S
-        self._fit.positions_min = max(3, math.ceil(COVERAGE_MIN * frames))
+        self.native = ffi.new("line_fit_t *")
+        self.native.beat_s = beat_s
+        self.native.slack_s = _SPAN_SLACK_FRAMES * (1.0 / fps)
+        self.native.gap_max_s = (BRIDGED_IN_A_ROW_MAX + 1.5) * (1.0 / fps)
+        self.native.speed_max_m_s, self.native.jump_m = _PLAUSIBLE_M_S, _JUMP_M
+        self.native.sigma_min_m_s = SIGMA_MIN_M_S
+        self.native.positions_min = max(3, math.ceil(COVERAGE_MIN * frames))
         self._speed = ffi.new("line_fit_speed_t *")
 
     def reset(self) -> None:
         """Forgets all positions."""
-        self._fit.count = 0
+        self.native.count = 0
 
     def add(self, t_s: float, x_m: float) -> SpeedSample | None:
         """Takes one position; frames that are not newer than the last are dropped."""
         speed = self._speed
-        if not lib.line_fit_add(self._fit, t_s, x_m, speed):
+        if not lib.line_fit_add(self.native, t_s, x_m, speed):
             return None
         return SpeedSample(speed.t_s, speed.speed_m_s, speed.sigma_m_s)
