@@ -91,10 +91,23 @@ static void note(mini_host_t *host) {
     }
 }
 
+/* The next byte that has come; false = there is none. */
+static bool next_byte(mini_host_t *host, uint8_t *byte) {
+    if (host->rx_at == host->rx_count) {
+        host->rx_count = sim_link_read(host->sim, 0, host->rx, sizeof host->rx);
+        host->rx_at = 0;
+    }
+    if (host->rx_at == host->rx_count) {
+        return false;
+    }
+    *byte = host->rx[host->rx_at++];
+    return true;
+}
+
 /* Reads on until |message_id| or the end of what has come. */
 static bool take_bytes(mini_host_t *host, uint32_t message_id) {
     uint8_t byte;
-    while (sim_link_read(host->sim, 0, &byte, 1) == 1) {
+    while (next_byte(host, &byte)) {
         if (mavlink_frame_char_buffer(&host->rx_buffer, &host->rx_status, byte, &host->message,
                                       NULL) == MAVLINK_FRAMING_OK) {
             note(host);

@@ -11,6 +11,8 @@ typedef struct {
     sim_t *sim;
     mavlink_message_t rx_buffer, message;
     mavlink_status_t rx_status, tx_status;
+    uint8_t rx[256]; /* bytes that have come, from |rx_at| on */
+    size_t rx_at, rx_count;
     uint64_t next_heartbeat_us;
     uint16_t ftp_sequence;
     uint8_t ftp_session;                       /* as the board opened it */

@@ -14,4 +14,10 @@ uint32_t crc32_update(uint32_t crc, const void *bytes, size_t length);
  * over a frame's two CRC bytes gives 0. */
 uint16_t crc16_update(uint16_t crc, const void *bytes, size_t length);
 
+#if !(defined(__ARM_ARCH_PROFILE) && __ARM_ARCH_PROFILE == 'M')
+/* The change of MAVLink's CRC-16/MCRF4XX by a byte; not on the board, whose flash is short. */
+#define CRC_MCRF4XX_TABLE
+extern const uint16_t crc_mcrf4xx_byte[256];
+#endif
+
 #endif

@@ -17,13 +17,17 @@ bool packer_fits(const packer_t *packer, size_t length) {
     return packer->bits + PACKER_BITS(length) <= 8u * PACKER_PAYLOAD_BYTES;
 }
 
-/* Lowest bit first. */
+/* Lowest bit first; |count| at most 32. */
 static void put_bits(packer_t *packer, uint32_t value, unsigned count) {
-    for (; count > 0; count--, value >>= 1) {
-        const uint32_t at = packer->bits++;
-        uint8_t *const byte = packer->piece + PACKED_PIECE_HEADER_BYTES + at / 8u;
-        const unsigned below = at % 8u == 0 ? 0u : *byte;
-        *byte = (uint8_t)(below | (value & 1u) << at % 8u);
+    while (count > 0) {
+        const unsigned at = packer->bits % 8u;
+        const unsigned taken = count < 8u - at ? count : 8u - at;
+        uint8_t *const byte = packer->piece + PACKED_PIECE_HEADER_BYTES + packer->bits / 8u;
+        const unsigned below = at == 0 ? 0u : *byte;
+        *byte = (uint8_t)(below | (value & ((1u << taken) - 1u)) << at);
+        packer->bits += taken;
+        value >>= taken;
+        count -= taken;
     }
 }
 

@@ -5,6 +5,7 @@ void line_init(line_t *line, double bytes_per_s) {
     line->end_ns = 0;
     line->written = line->read = 0;
     line->mark_head = line->mark_tail = 0;
+    line->message_us = UINT64_MAX;
 }
 
 uint64_t line_queued(const line_t *line, uint64_t now_us) {
@@ -15,11 +16,23 @@ uint64_t line_queued(const line_t *line, uint64_t now_us) {
     return (line->end_ns - now_ns + line->byte_ns - 1) / line->byte_ns;
 }
 
+static uint64_t up_to_us(uint64_t ns) { return (ns + 999u) / 1000u; }
+
+static void look_at_first_mark(line_t *line) {
+    line->message_us = line->mark_head == line->mark_tail
+                           ? UINT64_MAX
+                           : up_to_us(line->mark_ns[line->mark_head % LINE_MARKS]);
+}
+
 static void drop_marks_before(line_t *line, uint64_t position) {
+    if (line->mark_head == line->mark_tail) {
+        return;
+    }
     while (line->mark_head != line->mark_tail &&
            line->mark_at[line->mark_head % LINE_MARKS] <= position) {
         line->mark_head++;
     }
+    look_at_first_mark(line);
 }
 
 static void mark(line_t *line) {
@@ -29,6 +42,7 @@ static void mark(line_t *line) {
     const uint32_t slot = line->mark_tail++ % LINE_MARKS;
     line->mark_at[slot] = line->written;
     line->mark_ns[slot] = line->end_ns;
+    look_at_first_mark(line);
 }
 
 void line_write(line_t *line, uint64_t now_us, const uint8_t *bytes, size_t length) {
@@ -70,6 +84,7 @@ void line_cut(line_t *line, uint64_t now_us) {
            line->mark_at[(line->mark_tail - 1u) % LINE_MARKS] > line->written) {
         line->mark_tail--;
     }
+    look_at_first_mark(line);
     line->end_ns = 0;
     if (line->written != line->read) {
         line->end_ns = now_us * 1000u;
@@ -81,19 +96,14 @@ void line_drop_all(line_t *line) {
     line->read = line->written;
     line->end_ns = 0;
     line->mark_head = line->mark_tail;
+    line->message_us = UINT64_MAX;
 }
 
-uint64_t line_message_us(const line_t *line) {
-    if (line->mark_head == line->mark_tail) {
-        return UINT64_MAX;
-    }
-    return (line->mark_ns[line->mark_head % LINE_MARKS] + 999u) / 1000u;
-}
-
-uint64_t line_idle_us(const line_t *line) { return (line->end_ns + 999u) / 1000u; }
+uint64_t line_idle_us(const line_t *line) { return up_to_us(line->end_ns); }
 
 void line_pass_messages(line_t *line, uint64_t now_us) {
-    while (line_message_us(line) <= now_us) {
+    while (line->message_us <= now_us) {
         line->mark_head++;
+        look_at_first_mark(line);
     }
 }

@@ -20,6 +20,7 @@ typedef struct {
     uint64_t mark_at[LINE_MARKS]; /* ends of the messages written that are not all read ... */
     uint64_t mark_ns[LINE_MARKS]; /* ... and when they will have passed */
     uint32_t mark_head, mark_tail;
+    uint64_t message_us; /* of the first mark; UINT64_MAX = none */
     uint8_t store[LINE_STORE];
 } line_t;
 
@@ -66,7 +67,7 @@ void line_cut(line_t *line, uint64_t now_us);
 void line_drop_all(line_t *line);
 
 /* When the first message that is not all read will have passed; UINT64_MAX = none. */
-uint64_t line_message_us(const line_t *line);
+static inline uint64_t line_message_us(const line_t *line) { return line->message_us; }
 /* When all will have passed. */
 uint64_t line_idle_us(const line_t *line);
 /* Forgets the messages that have passed. */

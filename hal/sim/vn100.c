@@ -117,12 +117,21 @@ static void forget_output(vn100_t *vn100) {
 
 void vn100_power_on(vn100_t *vn100, uint64_t now_us) {
     vn100->powered = true;
-    vn100->wedged = false;
+    vn100->awake = vn100->firmware != 0 && vn100->plugged;
     forget_output(vn100);
     start(vn100, now_us);
 }
 
-void vn100_power_off(vn100_t *vn100) { vn100->powered = false; }
+void vn100_power_off(vn100_t *vn100) { vn100->powered = vn100->awake = false; }
+
+void vn100_plug(vn100_t *vn100, uint64_t now_us, bool plugged) {
+    const bool comes = plugged && !vn100->plugged;
+    vn100->plugged = plugged;
+    vn100->awake = vn100->awake && plugged;
+    if (comes && vn100->powered) {
+        vn100_power_on(vn100, now_us);
+    }
+}
 
 void vn100_reboot(vn100_t *vn100, uint64_t now_us) {
     if (vn100->powered) {
@@ -131,11 +140,7 @@ void vn100_reboot(vn100_t *vn100, uint64_t now_us) {
     }
 }
 
-void vn100_wedge(vn100_t *vn100) { vn100->wedged = true; }
-
-static bool alive(const vn100_t *vn100) {
-    return vn100->firmware != 0 && vn100->plugged && vn100->powered && !vn100->wedged;
-}
+void vn100_wedge(vn100_t *vn100) { vn100->awake = false; }
 
 /* What does not fit is lost; the sensor complains of it when there is room again. */
 static void queue_bytes(vn100_t *vn100, uint64_t now_us, const uint8_t *bytes, size_t length) {
@@ -309,7 +314,7 @@ static bool listens_at(vn100_t *vn100, uint64_t now_us, uint32_t baud) {
 
 void vn100_write(vn100_t *vn100, uint64_t now_us, const uint8_t *bytes, size_t length,
                  uint32_t baud) {
-    if (!alive(vn100)) {
+    if (!vn100->awake) {
         return;
     }
     advance(vn100, now_us);
@@ -329,7 +334,7 @@ void vn100_write(vn100_t *vn100, uint64_t now_us, const uint8_t *bytes, size_t l
 }
 
 uint64_t vn100_due_us(const vn100_t *vn100) {
-    if (!alive(vn100)) {
+    if (!vn100->awake) {
         return UINT64_MAX;
     }
     if (vn100->queue_head != vn100->queue_tail) {

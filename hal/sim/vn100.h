@@ -33,7 +33,8 @@ typedef struct {
     unsigned firmware;              /* 0 = there is no sensor */
     unsigned wire;                  /* port that our wires are on: 0, 1 */
     double byte_errors, lost_bytes; /* probabilities per byte */
-    bool plugged, powered, wedged;
+    bool plugged, powered;
+    bool awake; /* there, plugged, powered and not wedged */
     vn100_settings_t settings, saved;
     vn100_sense_t sense;
     uint64_t seed;
@@ -67,6 +68,8 @@ void vn100_init(vn100_t *vn100, const sim_config_t *config, const felt_t *felt);
 
 void vn100_power_on(vn100_t *vn100, uint64_t now_us);
 void vn100_power_off(vn100_t *vn100);
+/* A sensor that is plugged in starts anew if there is power. */
+void vn100_plug(vn100_t *vn100, uint64_t now_us, bool plugged);
 /* Starts anew with its saved settings, as after a dip of the supply or by its watchdog. */
 void vn100_reboot(vn100_t *vn100, uint64_t now_us);
 /* Silent and deaf until its supply is switched off. */

@@ -398,10 +398,8 @@ size_t vn100_binary_frame(const vn100_binary_t *binary, const vn100_sense_t *sen
     }
     for (unsigned group = 0; group < VN100_GROUPS; group++) {
         uint32_t left = binary->groups >> group & 1u ? binary->fields[group] : 0;
-        for (unsigned bit = 0; left != 0; bit++, left >>= 1) {
-            if (left & 1u) {
-                at = put_field(at, group, bit, sense, stamp_ns);
-            }
+        for (; left != 0; left &= left - 1u) {
+            at = put_field(at, group, (unsigned)__builtin_ctz(left), sense, stamp_ns);
         }
     }
     const uint16_t crc = crc_xmodem(out + 1, (size_t)(at - out) - 1);

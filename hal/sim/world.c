@@ -147,10 +147,7 @@ void world_set_battery_v(world_t *world, double volts) {
 }
 
 void world_set_imu(world_t *world, uint64_t now_us, bool plugged) {
-    if (plugged && !world->vn100.plugged && world->vn100.powered) {
-        vn100_power_on(&world->vn100, now_us);
-    }
-    world->vn100.plugged = plugged;
+    vn100_plug(&world->vn100, now_us, plugged);
 }
 
 void world_set_camera(world_t *world, bool on) { world->camera.on = on; }

@@ -24,7 +24,7 @@ from tailbeat.core.trial_file import (
 )
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import in_process
+from tailbeat.sim.board import SimBoard, SimTransport
 
 BEATS = 12
 
@@ -188,36 +188,35 @@ IMU_LAG_US = 20_000  # of the simulated sensor
 SENT_US = 5_500  # a frame's way over the wire is in its time
 
 
-def record_tail(fish: Fish) -> dict[int, float]:
-    """The simulated tail (rad) at every servo frame from now on, by board time (us)."""
-    transport = in_process(fish.link.transport)
-    assert transport is not None
-    board, wait, tail_rad = transport.board, transport.wait, {}
+class TailRecorder(SimTransport):
+    """Keeps the simulated tail (rad) at every servo frame, by board time (us)."""
 
-    def wait_and_look(timeout_s: float) -> None:
-        wait(min(timeout_s, 0.01))
-        truth = board.world.truth()
-        booted_s = board.time_s - board.board_time_s
-        tail_rad[round((truth.time_s - booted_s) * 1e6)] = truth.tail_rad
+    def __init__(self, board: SimBoard) -> None:
+        super().__init__(board)
+        self.tail_rad: dict[int, float] = {}
 
-    transport.wait = wait_and_look  # type: ignore[method-assign]
-    return tail_rad
+    def wait(self, timeout_s: float) -> None:
+        super().wait(min(timeout_s, 0.01))
+        truth = self.board.world.truth()
+        booted_s = self.board.time_s - self.board.board_time_s
+        self.tail_rad[round((truth.time_s - booted_s) * 1e6)] = truth.tail_rad
 
 
 def test_turns_are_those_of_the_simulated_body(tmp_path: Path) -> None:
-    with Fish.connect("sim:tank", seed=4) as fish:
+    line = TailRecorder(SimBoard("tank", seed=4))
+    with Fish(line) as fish:
         fish.link.run(9.0)
         fish.upload_reference(reference.trapezoid(0.06, 2, 2))
-        tail_rad = record_tail(fish)
+        line.tail_rad.clear()
         run_trial(fish)
         trial = read_trial(fish.pull_trial(1, tmp_path))
     table = trial.slots.table()
     assert np.array_equal(np.isfinite(table["turn_rad"]), np.isfinite(table["gain_m_s"]))
-    times_us = np.array(sorted(tail_rad))
+    times_us = np.array(sorted(line.tail_rad))
     edges_us = trial.start_us + 100_000 * np.arange(61) - IMU_LAG_US - SENT_US
     assert times_us[0] < edges_us[0]
     assert np.max(np.diff(times_us)) == 20_000
-    yaw_rad = YAW_PER_TAIL * np.interp(edges_us, times_us, [tail_rad[t] for t in times_us])
+    yaw_rad = YAW_PER_TAIL * np.interp(edges_us, times_us, [line.tail_rad[t] for t in times_us])
     turned_rad = table["turn_rad"][:60]
     assert np.array_equal(trial.slots.index[:60], np.arange(60))
     error_rad = turned_rad - np.diff(yaw_rad)

@@ -53,6 +53,7 @@ def encoded(
     """A film not made by FilmWriter; with B-frames where the codec has them."""
     with av.open(str(path), "w", container_options=container or {}) as out:
         stream = out.add_stream(codec, rate=25, options=options or {})
+        stream.thread_count = 1  # the same film on every machine
         stream.width, stream.height = sizes(0)
         stream.pix_fmt = pix
         stream.codec_context.time_base = tick

@@ -82,7 +82,7 @@ class Watched(SimulatedCamera):
         self.pictures: list[CameraFrame] = []
 
     def frames(self) -> list[Frame]:
-        taken = self._board.camera_frames()
+        taken = self.board.camera_frames()
         self.pictures += taken
         return [Frame(f.time_s, f.x_m, f.y_m, f.heading_rad) for f in taken]
 
