@@ -300,7 +300,7 @@ def browsing(downloads: Path, kind: type[Browser] = Browser) -> Iterator[Browser
     options = webdriver.ChromeOptions()
     options.binary_location = program
     for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage",
-                     "--hide-scrollbars", "--disable-background-networking"):  # fmt: skip
+                     "--hide-scrollbars", "--disable-background-networking", "--disable-gpu"):  # fmt: skip
         options.add_argument(argument)
     options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
     options.set_capability("goog:loggingPrefs", {"browser": "SEVERE", "performance": "ALL"})

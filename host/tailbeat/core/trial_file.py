@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
+from copy import deepcopy
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -242,6 +244,11 @@ def read_trial(path: Path) -> Trial:
 
 def parse_trial(raw: bytes, name: str = "trial") -> Trial:
     """As ``read_trial``, from the bytes of the file."""
+    return deepcopy(_parsed(raw, name))
+
+
+@lru_cache(maxsize=256)  # a series reads all its trials again after each
+def _parsed(raw: bytes, name: str) -> Trial:
     from pyulog import ULog
 
     if raw[:4] != b"ULog":

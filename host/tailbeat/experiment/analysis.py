@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ from tailbeat.experiment.trial_rows import TrialRow, histories_of, noise_of, row
 from tailbeat.learning.convergence import Score, best_of, score_of
 from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
-from tailbeat.learning.fish_model import trial_speeds
+from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import swim_crc
 from tailbeat.learning.saturation import saturation_of
@@ -307,25 +307,42 @@ def _band(rows: Sequence[TrialRow]) -> IterationStatistics:
     )
 
 
+_Simulator = tuple[str, tuple[tuple[str, float], ...]]  # a plant and its settings
+
+
 def _error_bound(
     identified: Identified | None, settings: Mapping[str, Any], held: Reference, limit: float
 ) -> tuple[float, float, str]:
     """(smallest max|e|, max|e| of the least-squares input, of what), without the digits that are
     another processor's own."""
+    fish: FishModel | _Simulator | None = None
     simulator = settings.get("simulator")
     if identified is not None:
-        found, by = error_bound(identified.model, held, limit), "identified"
+        fish, by = identified.model, "identified"
     elif isinstance(simulator, dict) and settings.get("plant"):
-        values = {name: v for name, v in simulator.items() if name not in ("seed", "plant")}
-        try:
-            plant = plant_config(str(settings["plant"]), values)
-            found, by = error_bound(plant, held, limit), "simulator"
-        except InputError:  # a simulator of another version had other settings
-            return math.nan, math.nan, ""
-    else:
-        return math.nan, math.nan, ""
-    both = found.minimax_m_s, found.lsq_max_abs_m_s
-    return round_to(both[0], _BOUND_DIGITS), round_to(both[1], _BOUND_DIGITS), by
+        values = sorted((n, v) for n, v in simulator.items() if n not in ("seed", "plant"))
+        fish, by = (str(settings["plant"]), tuple(values)), "simulator"
+    try:
+        if fish is not None:
+            return *_both_bounds(fish, held.beat_s, held.speed_m_s.tobytes(), limit), by
+    except InputError:  # a simulator of another version had other settings
+        if identified is not None:
+            raise
+    return math.nan, math.nan, ""
+
+
+@lru_cache(maxsize=16)
+def _both_bounds(
+    fish: FishModel | _Simulator, beat_s: float, speeds: bytes, limit: float
+) -> tuple[float, float]:
+    """Kept, as a page asks for the same ones after every trial, and a simulator's take seconds."""
+    held = Reference(beat_s, np.frombuffer(speeds, dtype=np.float32), "")
+    plant = fish if isinstance(fish, FishModel) else plant_config(fish[0], dict(fish[1]))
+    found = error_bound(plant, held, limit)
+    return (
+        round_to(found.minimax_m_s, _BOUND_DIGITS),
+        round_to(found.lsq_max_abs_m_s, _BOUND_DIGITS),
+    )
 
 
 def round_to(value: float, digits: int = _DIGITS) -> float:

@@ -279,8 +279,9 @@ def _bounded_quadratic(hessian: F64, gradient: F64, rows: F64, limit: F64) -> F6
     return np.asarray(solve_triangular(root.T, free - rest[:-1] / rest[-1], lower=False))
 
 
-def minimax(task: Task, start: F64) -> F64:
-    """w of the smallest max|e|, by linear programs inside a trust region from ``start``."""
+def minimax(task: Task, start: F64, tolerance_m_s: float = _TOLERANCE_M_S) -> F64:
+    """w of the smallest max|e|, by linear programs inside a trust region from ``start``, until one
+    promises less than ``tolerance_m_s``."""
     w_max = task.plant.w_max
     w, error, jacobian = start, task.error(start), None
     best = float(np.abs(error).max())
@@ -300,7 +301,7 @@ def minimax(task: Task, start: F64) -> F64:
             radius = min(radius * 2, 1.0) if gain > 0.7 * promised else radius
         else:
             radius /= 4
-        if promised < _TOLERANCE_M_S or radius < 1e-7:
+        if promised < tolerance_m_s or radius < 1e-7:
             break
     return w
 
