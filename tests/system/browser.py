@@ -166,18 +166,20 @@ class Browser:
         self.until(f"{data}.filter(v => v !== null).length >= {length}", 20.0)
         return list(self.ask(data))
 
-    def looks(self, name: str, judge: Callable[[str], None] = lambda _: None) -> None:
-        """At both sizes, in the light and in the dark: nothing may stick out to the side, and ABORT
-        is in reach with nothing over it. ``judge`` sees each of the four too."""
+    def looks(self, name: str, judge: Callable[[str], None] | None = None) -> None:
+        """At both sizes nothing may stick out to the side, and ABORT is in reach with nothing over
+        it. ``judge`` sees both in the dark and in the light."""
         for what, (width, height) in (("phone", PHONE), ("laptop", LAPTOP)):
             self.size(width, height)
             self.until(f"window.innerWidth === {width}")
             assert self.ask("document.documentElement.scrollWidth") <= width, name
             self.require_abort(width, height)
-            for scheme in ("dark", "light"):
+            folder = os.environ.get(FOLDER)
+            for scheme in ("dark", "light") if judge is not None or folder else ():
                 self.colours(scheme)
-                judge(f"{name}, {what}, {scheme}")
-                if folder := os.environ.get(FOLDER):
+                if judge is not None:
+                    judge(f"{name}, {what}, {scheme}")
+                if folder:
                     self.driver.save_screenshot(str(Path(folder) / f"{name}-{what}-{scheme}.png"))
 
     def require_abort(self, width: int, height: int) -> None:
@@ -300,7 +302,7 @@ def browsing(downloads: Path, kind: type[Browser] = Browser) -> Iterator[Browser
     options = webdriver.ChromeOptions()
     options.binary_location = program
     for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage",
-                     "--hide-scrollbars", "--disable-background-networking", "--disable-gpu"):  # fmt: skip
+                     "--hide-scrollbars", "--disable-background-networking"):  # fmt: skip
         options.add_argument(argument)
     options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
     options.set_capability("goog:loggingPrefs", {"browser": "SEVERE", "performance": "ALL"})

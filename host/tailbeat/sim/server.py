@@ -310,7 +310,7 @@ class SimServer:
                 self._pty.write(console)
         frames = self._board.camera_frames()
         board_s = self._board.board_time_s
-        if board_s > 0:  # before that its clock does not run
+        if board_s > 0 and self._camera.client:  # before that its clock does not run
             boot_s = self._board.time_s - board_s
             lines = (_picture_line(f, boot_s) for f in frames if f.time_s >= boot_s)
             self._camera.write("".join(lines).encode())

@@ -12,6 +12,7 @@ import asyncio
 import contextlib
 import errno
 import ipaddress
+import itertools
 import os
 import signal
 import socket
@@ -62,6 +63,7 @@ def reached_at(host: str) -> list[str]:
 
 _BACKLOG = 1024
 _DRAIN_S = 2
+_TICK_S = 0.5
 _RECONNECT_S = 10.0  # a phone that slept for a moment finds its page as it was
 
 
@@ -116,6 +118,12 @@ class _TailFirst(uvicorn.Server):
         self._abort()
         self.force_exit: bool = bool(self.should_exit)
         self.should_exit: bool = True
+
+    async def main_loop(self) -> None:
+        """As uvicorn's, which looks ten times a second whether it shall end."""
+        turns = itertools.count()
+        while not await self.on_tick(next(turns)):
+            await asyncio.sleep(_TICK_S)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets=[])  # the gate takes the connections

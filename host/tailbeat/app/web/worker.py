@@ -51,6 +51,7 @@ from tailbeat.session.trial_camera import camera_of
 OpenCamera = Callable[["Fish"], AbstractContextManager[tuple["Camera | None", "Guard | None"]]]
 """Opens the camera of a series, and the guard that goes with it."""
 
+_IDLE_LOOKS = 8  # a request ends the wait: what the board reports is seen a little later, no more
 _END_S = 30.0  # the coast, the rest after it and a pull over a slow link
 _log = logging.getLogger(__name__)
 
@@ -71,9 +72,9 @@ class Worker:
     """``connect`` makes the Fish, in the worker's thread; a lost link is connected again, with
     what was wrong in ``now.problem`` meanwhile. ``root``: of new experiments. ``open_camera`` opens
     the camera for each series. ``limits``: of the preflight checks. ``look_s``: how long a
-    request may lie; ``retry_s``: between two tries to connect. ``stream``: where what the board
-    reports is sent. ``picture``: the camera's last one, if it takes any. ``walls``: corners of the
-    water in the camera's frame, if they are known."""
+    request may lie while the tail beats; ``retry_s``: between two tries to connect. ``stream``:
+    where what the board reports is sent. ``picture``: the camera's last one, if it takes any.
+    ``walls``: corners of the water in the camera's frame, if they are known."""
 
     connect: Callable[[], Fish]
     root: Path
@@ -207,9 +208,10 @@ class Worker:
 
     def _idle(self, fish: Fish) -> None:
         """One look at the link and at what is asked for."""
+        self._asks.wait(_IDLE_LOOKS * self.look_s)
         if fish.sim is not None:
-            self._asks.wait(self.look_s)  # its time passes in no time; a page's must not
-        fish.link.run(self.look_s)
+            fish.link.run(_IDLE_LOOKS * self.look_s)  # its time passes in no time
+        fish.link.flush()
         if self._asks.abort:
             self._stop_tail(fish)
         if self._restarted:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import subprocess
 import sys
 
@@ -41,6 +43,31 @@ def test_a_command_loads_what_it_needs(words: str) -> None:
 def test_a_command_that_computes_loads_numpy() -> None:
     """The look at the modules can tell."""
     assert "numpy" in loaded("reference", "check", "thesis")
+
+
+RUN = "import sys; from tailbeat.app.cli import main; sys.exit(main())"
+# Instructions over those of a bare ``python -c pass``: as measured, and a tenth more.
+INSTRUCTIONS = {"--help": 7.5, "info --connect sim": 15.0}
+
+
+def instructions(*arguments: str) -> int:
+    """Of Python, counted by callgrind."""
+    count = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null"]
+    command = [*count, sys.executable, *arguments]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    found = re.search(r"Collected : (\d+)", run.stderr)
+    assert found is not None, run.stderr
+    return int(found[1])
+
+
+@pytest.mark.soak
+@pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind counts the instructions")
+def test_a_command_takes_few_instructions() -> None:
+    bare = instructions("-c", "pass")
+    for words, most in INSTRUCTIONS.items():
+        times = instructions("-c", RUN, *words.split()) / bare
+        print(f"tailbeat {words}: {times:.1f} x the instructions of bare Python")
+        assert times <= most
 
 
 def test_the_number_of_the_rest() -> None:
