@@ -21,14 +21,14 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "tailbeat"
 
 # How things are; these numbers and lists only get smaller. The goals: 230 files, 36 000 lines. They
-# grew five times: by a second plant, learned scatter, honest sigmas and the IMU's calibration; by
-# the guided job (start, health, measure, the law of each input); by the diagnosis of every
-# trial, the stream of what the board reports, the demo's two laws and the
-# page that leads through the whole job; by recordings as rows and
-# fits of many trials at once; by the comparison of departures; by
-# what connected commands load apart from the rest; by a trial's conversation in C.
+# grew seven times: by a second plant, learned scatter, honest sigmas and the IMU's calibration; by
+# the guided job (start, health, measure, the law of each input); by the diagnosis of every trial,
+# the stream of what the board reports, the demo's two laws and the page that leads through the
+# whole job; by recordings as rows and fits of many trials at once; by the comparison of departures;
+# by what connected commands load apart from the rest; by a trial's conversation in C, what is kept
+# of trials and bounds, and the cost of an idle page.
 FILES_MAX = 269
-CODE_LINES_MAX = 43_850
+CODE_LINES_MAX = 43_890
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 
