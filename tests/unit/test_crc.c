@@ -1,5 +1,8 @@
 /* Published check values, and a bit-by-bit computation that shares nothing with the tables. */
 #include "base/crc.h"
+#include "link/mavlink.h"
+
+#include "checksum.h" /* MAVLink's */
 
 #include "unity.h"
 
@@ -51,6 +54,20 @@ static void test_crc16_has_the_xmodem_value(void) {
     TEST_ASSERT_EQUAL_HEX16(0x31C3u, crc16_update(0, TEXT, 9));
 }
 
+/* Of CRC-16/MCRF4XX; and each entry of the table against eight steps of one bit. */
+static void test_mavlinks_sum_has_its_value(void) {
+    TEST_ASSERT_EQUAL_HEX16(0x6F91u, crc_calculate((const uint8_t *)TEXT, 9));
+#ifdef CRC_MCRF4XX_TABLE
+    for (unsigned byte = 0; byte < 256; byte++) {
+        unsigned sum = byte;
+        for (unsigned bit = 0; bit < 8; bit++) {
+            sum = (sum & 1u) != 0 ? sum >> 1 ^ 0x8408u : sum >> 1;
+        }
+        TEST_ASSERT_EQUAL_HEX16(sum, crc_mcrf4xx_byte[byte]);
+    }
+#endif
+}
+
 static void test_nothing_changes_nothing(void) {
     TEST_ASSERT_EQUAL_HEX32(0x1234ABCDu, crc32_update(0x1234ABCDu, TEXT, 0));
     TEST_ASSERT_EQUAL_HEX16(0xABCDu, crc16_update(0xABCDu, TEXT, 0));
@@ -97,6 +114,7 @@ int main(void) {
     RUN_TEST(test_crc32_has_the_value_of_mavlink_ftp);
     RUN_TEST(test_crc32_becomes_zlibs_by_inverting);
     RUN_TEST(test_crc16_has_the_xmodem_value);
+    RUN_TEST(test_mavlinks_sum_has_its_value);
     RUN_TEST(test_nothing_changes_nothing);
     RUN_TEST(test_crc16_over_its_own_bytes_is_zero);
     RUN_TEST(test_every_length_and_split_agrees_with_the_slow_way);
