@@ -304,9 +304,18 @@ def written(figure: Figure, kind: str, dpi: int = _DPI) -> bytes:
         "svg.hashsalt": "tailbeat",
         "savefig.dpi": dpi,
     }
-    out = io.BytesIO()
+    out, engine, draw = io.BytesIO(), figure.get_layout_engine(), figure.draw
+
+    def draw_laid_out(renderer: Any) -> None:
+        if engine is not None:
+            engine.execute(figure)
+        draw(renderer)
+
+    # Else matplotlib draws all of it twice, the first time for the layout alone; same bytes.
+    vars(figure).update(get_layout_engine=lambda: None, draw=draw_laid_out)
     with _style.context(["default", settings]):
         figure.savefig(out, format=kind, dpi=dpi, metadata=_NOTHING_ELSE[kind])
+    del vars(figure)["get_layout_engine"], vars(figure)["draw"]
     return out.getvalue()
 
 
