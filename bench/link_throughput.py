@@ -43,7 +43,7 @@ class Load:
     goals: bool  # a short log is not long enough for them
 
 
-FULL = Load(beats=200, seeds=6, pulls=16, goals=True)
+FULL = Load(beats=200, seeds=24, pulls=16, goals=True)
 TINY = Load(beats=2, seeds=1, pulls=1, goals=False)
 
 Faults = Callable[[], Sequence[Fault]]
