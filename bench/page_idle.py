@@ -19,8 +19,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from startup import RUN
+
 GOAL = 0.005  # of a core
-RUN = "import sys; from tailbeat.app.cli import main; sys.exit(main())"
 HEAR = """
 import sys
 from tailbeat.board.fish import Fish

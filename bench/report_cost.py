@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from startup import RUN
+
 from tailbeat.board.fish import Fish
 from tailbeat.core.reference import thesis
 from tailbeat.core.trial_file import read_trial
@@ -34,7 +36,6 @@ from tailbeat.session.trial import run_trial
 GOAL_S = 2.0
 PLAN = "--plan"
 LOADS = "import scipy.optimize, matplotlib.figure, matplotlib.backends.backend_svg"
-COMMAND = "import sys; from tailbeat.app.cli import main; sys.exit(main())"
 AMPLITUDE_MAX_RAD = 0.785
 
 
@@ -132,7 +133,7 @@ def main(load: Load = FULL) -> int:
     with TemporaryDirectory() as root:
         folder = experiment_of(load.trials, Path(root)).folder
         commands = {
-            "report": ["-c", COMMAND, "report", str(folder)],
+            "report": ["-c", RUN, "report", str(folder)],
             "plan of the next input": [__file__, PLAN, str(folder)],
             "limit": ["-c", LOADS],
         }

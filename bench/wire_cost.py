@@ -63,7 +63,7 @@ class Stopwatch:
 
 
 def one_trial(fish: Fish, folder: Path) -> Cost:
-    """Swum, pulled and learned from."""
+    """Executed, pulled and learned from."""
     transport = fish.link.transport
     begin_s, begin_cpu_s = transport.now_s(), time.process_time()
     outcome = run_trial(fish)

@@ -9,6 +9,7 @@ Conditions: water temperature and whatever else may matter later.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -315,19 +316,14 @@ def _error_bound(
 ) -> tuple[float, float, str]:
     """(smallest max|e|, max|e| of the least-squares input, of what), without the digits that are
     another processor's own."""
-    fish: FishModel | _Simulator | None = None
-    simulator = settings.get("simulator")
+    beats = held.beat_s, held.speed_m_s.tobytes()
     if identified is not None:
-        fish, by = identified.model, "identified"
-    elif isinstance(simulator, dict) and settings.get("plant"):
+        return *_both_bounds(identified.model, *beats, limit), "identified"
+    plant, simulator = settings.get("plant"), settings.get("simulator")
+    if plant and isinstance(simulator, dict):
         values = sorted((n, v) for n, v in simulator.items() if n not in ("seed", "plant"))
-        fish, by = (str(settings["plant"]), tuple(values)), "simulator"
-    try:
-        if fish is not None:
-            return *_both_bounds(fish, held.beat_s, held.speed_m_s.tobytes(), limit), by
-    except InputError:  # a simulator of another version had other settings
-        if identified is not None:
-            raise
+        with contextlib.suppress(InputError):  # one of another version had other settings
+            return *_both_bounds((str(plant), tuple(values)), *beats, limit), "simulator"
     return math.nan, math.nan, ""
 
 

@@ -43,7 +43,7 @@ NEGLIGIBLE_M_S = 0.0005  # errors below are nobody's concern: a camera's sigma p
 _MISFIT_PART, _MISFIT_COSTS = 0.3, 0.25
 _Z_90 = 1.6448536269514722
 _MINIMAX_MODELS = 24
-_INTERVAL_TOLERANCE_M_S = 1e-5  # moves the ends of the interval by 0.04 mm/s at most
+_INTERVAL_TOLERANCE_M_S = 1e-5  # of six fish and references the ends moved by 0.04 mm/s
 _SPOT = 0.5  # of the largest error: beats above belong to a spot
 _AT_LIMIT = 1e-3  # of w_max: 3 % of the largest speed
 

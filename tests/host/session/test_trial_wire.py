@@ -47,7 +47,7 @@ class Heard:
         return count
 
 
-def swum(
+def executed(
     monkeypatch: pytest.MonkeyPatch,
     in_c: bool,
     guard: Callable[[Heard], Guard] | None = None,
@@ -118,7 +118,10 @@ def stops_at(x_m: float) -> Callable[[Heard], Guard]:
 def test_the_line_carries_the_same_bytes(
     monkeypatch: pytest.MonkeyPatch, how: dict[str, Any]
 ) -> None:
-    readable, in_c = swum(monkeypatch, in_c=False, **how), swum(monkeypatch, in_c=True, **how)
+    readable, in_c = (
+        executed(monkeypatch, in_c=False, **how),
+        executed(monkeypatch, in_c=True, **how),
+    )
     assert in_c.sent == readable.sent
     assert in_c.outcome == readable.outcome
     assert in_c.seen == readable.seen
@@ -127,7 +130,7 @@ def test_the_line_carries_the_same_bytes(
 
 
 def test_a_guard_sees_pictures_and_their_absence(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen = swum(monkeypatch, in_c=True, guard=recorder).seen
+    seen = executed(monkeypatch, in_c=True, guard=recorder).seen
     assert sum(isinstance(what, Frame) for what in seen) > 1000
     assert any(isinstance(what, Unseen) for what in seen)
 
