@@ -15,7 +15,7 @@ PACKAGE_SOURCES := $(shell find host firmware/ hal wire tools/vboard CMakeLists.
 	-not -name '*.pyc' -not -path '*/.*_cache*')
 C_SOURCES = $(shell find firmware hal bench tests/unit tests/fuzz tests/image host/native tools/vboard/native \
 	-name '*.[ch]' 2>/dev/null)
-PYTHON_SOURCES := host tests tools wire $(wildcard bench)
+PYTHON_SOURCES := $(wildcard docs/*.py) host tests tools wire $(wildcard bench)
 
 # Runs all that it is given, whatever fails, and sums up.
 RUN_ALL := $(BIN)/python tools/run_all.py
@@ -28,7 +28,7 @@ UNLIMITED := -o faulthandler_timeout=0
 # Without what it has compiled kept, each process compiles all tests anew, for 15 s.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n auto --dist worksteal
 
-.PHONY: help demo test image qemu soak bench firmware sbom flash size check clean lock bootstrap package \
+.PHONY: help demo test image qemu soak bench firmware sbom flash size check docs clean lock bootstrap package \
 	unit host_tests coverage toolchain fuzz bench_programs
 
 help: ## list the targets
@@ -132,8 +132,13 @@ check: ## formatting, types, static analysis, who includes whom
 	$(BIN)/python tools/check_includes.py
 	@PYTHONPATH=host $(STEP) "layers of the host package" $(BIN)/lint-imports --no-cache
 	@PYTHONPATH=host $(BIN)/python tools/check_architecture.py
-	$(BIN)/python tools/protocol_tables.py --check
 	@$(STEP) "static analysis" tools/check_c
+
+docs: package ## the documentation as web pages: build/docs/html/index.html
+	@tools/bootstrap docs
+	@$(STEP) "building the documentation" $(BIN)/python -m sphinx --builder html --fail-on-warning \
+		--keep-going --quiet docs build/docs/html
+	@echo "build/docs/html/index.html"
 
 clean: ## remove everything that was built, but not .venv
 	rm -rf build

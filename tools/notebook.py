@@ -1,4 +1,4 @@
-"""Executes docs/fish-api.ipynb: ``--write`` stores what comes out, without it what is stored must
+"""Executes the notebook of the docs: ``--write`` stores what comes out, else what is stored must
 come out again (texts; a picture's bytes depend on the fonts at hand).
 
 A number may differ by one in its last digit: the last bit of a sine differs between processors,
@@ -20,7 +20,7 @@ import nbformat
 from nbclient import NotebookClient
 
 _NUMBER = re.compile(r"-?\d+\.?\d*")
-NOTEBOOK = Path(__file__).parent.parent / "docs" / "fish-api.ipynb"
+NOTEBOOK = Path(__file__).parent.parent / "docs" / "reference" / "fish-api.ipynb"
 
 
 def executed(path: Path) -> Any:

@@ -1,6 +1,6 @@
 /*
  * What the LED shows while the fish swims: a code that tells a camera the time within the swim and
- * the number of the trial, so that a film and a trial's file can be put together (docs/camera.md).
+ * the number of the trial, so that a film and a trial's file can be put together.
  *
  * Blocks of 5 s, as long as the swim lasts. A block is 50 symbols of 0.1 s (5 frames of the 50 Hz
  * tick): 3 off, 3 on, then 16 bits in Manchester code (1 = on off, 0 = off on), highest bit first:

@@ -18,7 +18,7 @@
  *
  * (5.13) and (5.19) add feedback_reserve() * feedback_direction() to the input. The cap (low, high)
  * and the dead zone are not the thesis's; without one of them or a leak, sampled sign laws drive
- * their estimate away (docs/thesis/chapter5.md).
+ * their estimate away (docs: explanation/thesis).
  *
  * The bank has one row of estimates per node of the common axis. A trial of another duration takes
  * as many steps as there are nodes, each d(rho)/dt times as long; or it reads between the nodes
@@ -29,7 +29,7 @@
  * 6 * estimates * channels + 8 * estimates operations; feedback_tanh about 40.
  *
  * Not chosen on the fish: these laws need its speed at once, beats long before any source has it,
- * and at one correction a second the robust ones are not worth running (docs/thesis.md).
+ * and at one correction a second the robust ones are not worth running (docs: explanation/thesis).
  */
 #ifndef ILC_FEEDBACK_H
 #define ILC_FEEDBACK_H

@@ -11,7 +11,7 @@
  * measured none of them. A peak at a beat that the new best did not measure is carried over: at
  * this beat a later trial is compared with it alone.
  *
- * Why, with figures: docs/progress.md. Pure; host and board agree bit for bit.
+ * Why, with figures: docs/explanation/convergence.md. Pure; host and board agree bit for bit.
  */
 #ifndef ILC_JUDGE_H
 #define ILC_JUDGE_H

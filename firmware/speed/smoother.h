@@ -15,7 +15,7 @@
  * The covariance is kept as U D U' (Bierman): it stays positive whatever float32 rounds away.
  * Memory: one state per SMOOTHER_BLOCK beats is kept, the others are computed again on the way
  * back. Pure, float32, no libm; the caller owns all arrays. Not for interrupts.
- * Cost on the board: see docs/testing.md (make bench).
+ * Cost on the board: see docs/how-to/test.md (make bench).
  */
 #ifndef SPEED_SMOOTHER_H
 #define SPEED_SMOOTHER_H

@@ -1,7 +1,7 @@
 /*
  * Packed logs: a ULog in about a third of its bytes, sound up to the last whole piece wherever it
- * ends. docs/protocol.md has the exact bits; packer.h writes them, unpacker.h reads them. This is
- * what both share: the shape of a record and the model that predicts it. Pure.
+ * ends. The protocol's page has the exact bits; packer.h writes them, unpacker.h reads them. This
+ * is what both share: the shape of a record and the model that predicts it. Pure.
  *
  * A record of a topic that version 1 knows is coded field by field: the difference to the record
  * before it (of its time: to the step before it), as a Golomb-Rice code whose parameter follows the

@@ -3,9 +3,9 @@
  * counter, key, uploads.
  *
  * All of one shape, little-endian: magic (4 characters), version u16, count u16, CRC-32 of all the
- * rest, body (docs/protocol.md has every offset). Encoding never fails: its input is ours. Decoding
- * checks magic, version, length, CRC and values, and touches its output only when all are right.
- * Pure functions over byte buffers; not for interrupts.
+ * rest, body (the protocol's page has every offset). Encoding never fails: its input is ours.
+ * Decoding checks magic, version, length, CRC and values, and touches its output only when all are
+ * right. Pure functions over byte buffers; not for interrupts.
  */
 #ifndef STORE_RECORDS_H
 #define STORE_RECORDS_H

@@ -140,7 +140,7 @@ void hal_unique_id(const hal_t *hal, uint8_t out[16]) {
     memcpy(out, "mocked-board-001", 16);
 }
 
-/* As behind the divider of docs/wiring.md: 9.9 V are full scale. */
+/* As behind the divider of docs/how-to/wiring.md: 9.9 V are full scale. */
 uint16_t hal_battery_reading(const hal_t *hal) {
     const uint32_t reading = (hal->battery_mv * HAL_BATTERY_SCALE + 4950u) / 9900u;
     return (uint16_t)(reading < HAL_BATTERY_SCALE ? reading : HAL_BATTERY_SCALE - 1u);

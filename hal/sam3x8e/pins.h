@@ -1,5 +1,5 @@
 /*
- * Which pin does what. docs/wiring.md holds the same table for people; a test compares the two.
+ * Which pin does what. docs/how-to/wiring.md holds the same table; a test compares the two.
  *
  * After a reset every pin is an input with its pull-up on.
  */

@@ -224,7 +224,7 @@ void hal_unique_id(const hal_t *hal, uint8_t out[16]) {
     }
 }
 
-/* Behind the divider of docs/wiring.md. */
+/* Behind the divider of docs/how-to/wiring.md. */
 uint16_t hal_battery_reading(const hal_t *hal) {
     const uint32_t reading =
         (hal->battery_mv * HAL_BATTERY_SCALE + BATTERY_FULL_SCALE_MV / 2u) / BATTERY_FULL_SCALE_MV;

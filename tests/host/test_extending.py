@@ -1,4 +1,4 @@
-"""docs/extending.md, followed word by word in a copy of the repository: what it adds must build and
+"""docs/how-to/extend.md, followed in a copy of the repository: what it adds must build and
 work, in as many files as the page says."""
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import pytest
 from tailbeat.link import _dialect
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "extending.md"
+PAGE = ROOT / "docs" / "how-to" / "extend.md"
 BLOCK = re.compile(
     r"^<!-- (?P<how>new|below|above) (?P<file>[^\s:]+)(?:: (?P<anchor>.+?))? -->\n\n?"
     r"```\w*\n(?P<text>.*?)^```$",

@@ -1,4 +1,4 @@
-"""The pins in the firmware, in docs/wiring.md and on the Due's header are the same."""
+"""The pins in the firmware, in docs/how-to/wiring.md and on the Due's header are the same."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 HEADER = (ROOT / "hal" / "sam3x8e" / "pins.h").read_text(encoding="utf-8")
-GUIDE = (ROOT / "docs" / "wiring.md").read_text(encoding="utf-8")
+GUIDE = (ROOT / "docs" / "how-to" / "wiring.md").read_text(encoding="utf-8")
 PARAMETERS = (ROOT / "firmware" / "params" / "params.def").read_text(encoding="utf-8")
 
 PIN = re.compile(

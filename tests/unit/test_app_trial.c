@@ -275,7 +275,7 @@ static void test_a_reading_at_the_limit_warns_does_not_arm_and_stops(void) {
     TEST_ASSERT_EQUAL(FAULT_BATTERY_SENSE, app.supervisor.reason);
 }
 
-/* As docs/wiring.md says: a board on USB power, with whatever its open pin reads. */
+/* As docs/how-to/wiring.md says: a board on USB power, with whatever its open pin reads. */
 static void test_a_bare_board_runs_with_the_documented_values(void) {
     static const uint16_t open_pin_mv[] = {0, 4000, 12000};
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_BATT_LOW_V, 0.0f));

@@ -134,7 +134,7 @@ typedef struct {
     const char *magic;
     size_t (*encode)(void);
     fault_t (*decode)(const uint8_t *at, size_t length);
-    size_t length; /* with 5 beats, from docs/protocol.md */
+    size_t length; /* with 5 beats, from docs/reference/protocol.md */
 } kind_t;
 
 static const kind_t kinds[] = {

@@ -333,7 +333,7 @@ static void test_camera_sees_the_swim(void) {
     sim_free(sim);
 }
 
-/* Behind the divider of docs/wiring.md. */
+/* Behind the divider of docs/how-to/wiring.md. */
 static uint16_t battery_mv(void) {
     return battery_voltage(hal_battery_reading(script.hal), 3.3f, 3.0f).mv;
 }

@@ -213,7 +213,8 @@ class _Hc05:
         found = _with(self._uart(), {key: self._value(key) for key in expected})
         if found.baud is None:
             raise TailbeatError(
-                "the module does not tell its speed", "Is it an HC-05? See docs/wiring.md."
+                "the module does not report its speed",
+                "Check that it is an HC-05: see 'Wire the fish' in the documentation.",
             )
         now, changed = found, []
         if not found.fits:
@@ -332,8 +333,9 @@ def _nobody(asking: _Asking) -> ConnectError:
     asking.listen(_LISTEN_S)
     if Framer(mavlink.MAVLink(None)).push(bytes(asking.heard)):
         return ConnectError(
-            f"what speaks on {line.name} is a board, not a Bluetooth module",
-            "PORT is a USB-serial adapter with the module alone on it; see docs/wiring.md.",
+            f"{line.name} is a board, not a Bluetooth module",
+            "PORT is a USB-serial adapter with the module alone on it: see 'Wire the fish' in the"
+            " documentation.",
         )
     heard = before + bytes(asking.heard)
     if heard and heard in bytes(asking.sent):

@@ -121,7 +121,7 @@ class BoardMemory:
         Parameters
         ----------
         reference : Reference or bytes
-            The reference, or its record (docs/protocol.md).
+            The reference, or its record (``TBRF`` of the protocol).
         progress : callable, optional
             Gets how many bytes of how many are sent.
 

@@ -1,7 +1,7 @@
 """What a board holds: taken from it, written to disk, read, compared, and restored.
 
 In a folder (``tailbeat board flash``, before an identification): ``board.json`` (who it was, its
-parameters), ``reference.bin``, ``learned.bin``, ``crash.bin``, the records of docs/protocol.md. In
+parameters), ``reference.bin``, ``learned.bin``, ``crash.bin``, the records of the protocol. In
 one file (``board/state.json`` of an experiment): all but the crash record, with a checksum.
 """
 
@@ -41,7 +41,7 @@ Differences = dict[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The content of a board. Records are bytes as in docs/protocol.md; None = it had none.
+    """The content of a board. Records are bytes as in the protocol; None = it had none.
 
     ``learned``: as ``Fish.learned_record``. ``iteration``, ``last_learned_trial``: those of its
     status. ``signed``: it had a key. The key itself is not in it: no board gives it away.

@@ -101,7 +101,7 @@ class Law:
         Parameters
         ----------
         params : mapping of str to float
-            Board parameters by name, units as in docs/protocol.md; may hold more than the law's.
+            Board parameters by name, with their units; may hold more than the law's.
         beat_s : float
             Length of a beat, s.
 

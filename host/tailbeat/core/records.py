@@ -1,4 +1,4 @@
-"""The small binary files of docs/protocol.md, through the firmware's own encoders."""
+"""The small binary files of docs/reference/protocol.md, through the firmware's own encoders."""
 
 from __future__ import annotations
 

@@ -118,7 +118,7 @@ class Reference:
         return found
 
     def record(self) -> bytes:
-        """The reference as the board stores it (docs/protocol.md, ``TBRF``)."""
+        """The reference as the board stores it (docs/reference/protocol.md, ``TBRF``)."""
 
         return encode_reference(self.beat_s, self.speed_m_s)
 

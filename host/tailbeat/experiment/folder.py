@@ -2,7 +2,7 @@
 
 ``DATE_fish_reference_law_NN/`` with ``raw/`` (what came from the board, read-only, listed in
 ``raw/SHA256SUMS`` as ``sha256sum -c`` reads it), ``notes.md``, ``settings.json`` and
-``journal.jsonl``; docs/experiment-folder.md says what else may lie in it.
+``journal.jsonl``; docs/reference/experiment-folder.md says what else may lie in it.
 
 One program at a time swims in an experiment; the system lets go when that program dies.
 

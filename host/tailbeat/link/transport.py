@@ -81,8 +81,8 @@ class Hearing:
             ),
             "hung": (
                 f"the firmware on {name} starts, but then does not answer",
-                "Press RESET and try again. If it stays, write the firmware anew"
-                " (docs/flashing.md).",
+                "Press RESET and try again. If that does not help, write the firmware again:"
+                " 'tailbeat board flash'.",
             ),
             "stranger": (
                 f"there is no tailbeat board on {name}, but another MAVLink system",
@@ -95,7 +95,7 @@ class Hearing:
             ),
             "text": (
                 f"there is no tailbeat board on {name}: what comes is text",
-                "Another device or firmware is on that port; see docs/flashing.md.",
+                "Another device or firmware is on that port. 'tailbeat board flash' writes ours.",
             ),
             "garbage": (
                 f"bytes come on {name} but no MAVLink: the radio module is probably still at"

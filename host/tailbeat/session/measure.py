@@ -2,7 +2,7 @@
 its reference needs, then the fish coasts.
 
 One such run tells drag, thrust, dead zone and delay about as well as three cruises and a coast-down
-(docs/identify.md), and shows at the same time that servo, tail and fish stand the amplitude before
+and shows at the same time that servo, tail and fish stand the amplitude before
 a limit is raised to it. Meanwhile the board has a limit of that height; it gets its own back.
 """
 

@@ -113,7 +113,7 @@ def _memory(fish: Fish, status: BoardStatus) -> Memory:
 
 def _past_trials(fish: Fish, past: laws.Averaging, iteration: int) -> list[PastTrial]:
     """What the board looks back on, newest first: the chain that begins with what it has learned
-    (docs/protocol.md). A file that is missing or not of the chain ends it."""
+    (docs/reference/protocol.md). A file that is missing or not of the chain ends it."""
     most = past.earlier
     learned = fish.learned_record() if most else None
     earlier: list[PastTrial] = []

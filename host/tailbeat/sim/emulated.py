@@ -32,7 +32,7 @@ IMAGE = Path("build") / "firmware" / "tailbeat.elf"
 ID_PREFIX = b"tailbeat"  # of the unique id; by it the firmware knows that it runs here
 BAUD = 115200
 
-# As in docs/wiring.md.
+# As in docs/how-to/wiring.md.
 _LINES = {"USART1": RADIO, "UART": CONSOLE}
 _IMU_PORT = "USART0"
 _SERVO_CHANNEL = 4

@@ -1,4 +1,4 @@
-"""The sessions of README.md and docs/getting-started.md, executed as they are written: the last
+"""The sessions of README.md and of the first tutorial, executed as they are written: the last
 input must reach the error bound. And one whose amplitude limit is too low for the reference."""
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def terminal(
 @pytest.fixture
 def python(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], Trial]]:
     """Executes the Python session of a seed; its last trial."""
-    text = block("docs/getting-started.md", "8. The same from Python", "python")
+    text = block("docs/tutorial/first-trial.md", "8. The same from Python", "python")
 
     def execute(seed: int) -> Trial:
         monkeypatch.setattr("tailbeat.sim.board.DEFAULT_SEED", seed)
@@ -162,7 +162,7 @@ def by_getting_started(terminal: Terminal, seed: int) -> bool:
     """Its reference, its parameters and its trials, decided as it says."""
     terminal.begin(seed)
     terminal.says("tailbeat", "sim", "&")
-    page = "docs/getting-started.md"
+    page = "docs/tutorial/first-trial.md"
     for heading in ("3. Tell it what to swim", "4. Set the law", "5. Swim and learn"):
         for words in commands(block(page, heading)):
             then = ("--then", "keep") if words[1:3] == ["trial", "run"] else ()

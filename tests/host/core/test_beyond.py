@@ -1,6 +1,6 @@
 """What ILC_EXTRAP does for beats that no trial has reached: many simulated fish whose trials are
 all cut short, and then one that gets there. ``pytest -s -m soak -k beyond tests/host`` prints
-the table of docs/safety.md."""
+the table of docs/explanation/safety.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Packed logs: a second decoder, written from docs/protocol.md, must agree with the board's."""
+"""Packed logs: a second decoder, written from the protocol, must agree with the board's."""
 
 from __future__ import annotations
 

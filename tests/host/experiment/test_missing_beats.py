@@ -208,7 +208,7 @@ def test_a_best_that_missed_its_worst_beat_sends_nothing_back() -> None:
 
 @pytest.mark.soak
 def test_the_figures_of_the_docs() -> None:
-    """docs/progress.md: 900 series of 16 trials for each line. Prints its tables."""
+    """docs/explanation/convergence.md: 900 series of 16 trials for each line. Prints its tables."""
     for start_m_s in (0.0, 0.06):
         for lost in (0.0, 0.01, 0.04, 0.10):
             found = [learn(kappa, lost, 300, start_m_s=start_m_s) for kappa in (5, 10, 20)]

@@ -218,7 +218,7 @@ def test_two_that_learned_apart_are_not_mixed(experiment: Experiment, pool: Pool
 
 
 def _record_with(record: bytes, last_trial: int, iteration: int) -> bytes:
-    """Fields of docs/protocol.md, TBLM: last trial at 16, iteration at 20."""
+    """Fields of docs/reference/protocol.md, TBLM: last trial at 16, iteration at 20."""
     body = bytearray(record[12:])
     body[4:8] = last_trial.to_bytes(4, "little")
     body[8:10] = iteration.to_bytes(2, "little")

@@ -269,7 +269,8 @@ def test_truth_is_json_and_help_tells_all_words() -> None:
 
 
 def test_the_page_has_every_verb_and_its_method() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "simulator.md").read_text().replace("\\|", "|")
+    path = Path(__file__).parents[3] / "docs" / "how-to" / "simulate.md"
+    page = path.read_text().replace("\\|", "|")
     for verb in VERBS.values():
         assert f"| `{verb.use}` |" in page
     methods = {name for name, value in vars(World).items() if callable(value) and name[0] != "_"}

@@ -324,7 +324,7 @@ def calibrate(
     out: Path = opt("Write it there.", "FILE", default=Path("tank.json")),
     check: Path | None = opt("Check this one by a ruler; write nothing.", "FILE"),
 ) -> Output:
-    """Calibrate a camera over a tank: pixels become metres. See docs/camera-calibration.md.
+    """Calibrate a camera over a tank: pixels become metres.
 
     Example: tailbeat camera calibrate --board board/ --picture tank.png --points tank.csv
     --area 3.0,1.8 --ruler ruler.png --ruler-length 1.2

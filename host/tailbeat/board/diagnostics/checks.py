@@ -166,7 +166,7 @@ def _battery(evidence: BoardEvidence, measured: Figures) -> Assessment:
         refused = "arming is refused" if low > 0 else "trials are stopped"
         return PROBLEM, f"{evidence.status.battery_text}: {refused}", sense.remedy
     if volts < min(1.0, low):
-        remedy = "Switch it on, and check its divider at A0 (docs/wiring.md)."
+        remedy = "Switch it on. Check its divider at A0 ('Wire the fish' in the documentation)."
         return PROBLEM, f"{volts:.2f} V: no battery is measured", remedy
     remedy = "Charge or change the battery."
     for name, limit_v in (("BATT_CRIT_V", critical), ("BATT_LOW_V", low)):

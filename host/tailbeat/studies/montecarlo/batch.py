@@ -109,7 +109,7 @@ def foreign_plant(path: str) -> tuple[Any, Any]:
     except (OSError, AttributeError) as error:
         raise InputError(
             f"{path} is no plant ({str(error).split('. Additionally')[0]}).",
-            "Compile one that has the functions of tailbeat_plant.h (docs/monte-carlo.md).",
+            "Compile one that has the functions of tailbeat_plant.h, which the package contains.",
         ) from error
     if abi != ABI:
         raise InputError(

@@ -2,7 +2,7 @@
 
 A recipe is the product of its ``[[plant]]``, ``[[law]]``, ``[[noise]]`` and corners, each for
 ``seeds`` seeds. ``[[claim]]`` says in figures what the result must hold to (``claims``).
-docs/monte-carlo.md lists every key.
+docs/how-to/monte-carlo.md lists every key.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ REFERENCES_FEASIBLE = ("feasible", REFERENCE_IDENTIFIED)
 AGAINST_KEYS = ("iteration", "statistic", "of")  # the others choose rows
 _SELECTORS = ("plant", "law", "noise", "corner", "reference")
 _JUDGES = ("title", "claims", "description", "source")  # no result depends on them
-_REMEDY = "Correct it; docs/monte-carlo.md lists every key."
+_REMEDY = "Correct it: 'Run a Monte Carlo study' in the documentation lists every key."
 _LENGTHS_REMEDY = (
     "Write it like uniform:20,50 (beats) or uniform:44,58,50 (of 50 for a full trial)."
 )

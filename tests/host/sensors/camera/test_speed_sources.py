@@ -30,7 +30,7 @@ class Swims:
     sigma: Floats
 
     def text(self) -> str:
-        """As the table of docs/speed.md."""
+        """As the table of docs/explanation/speed.md."""
         in_two = np.nanmean(np.abs(self.error) < 2 * self.sigma)
         return (
             f"beat RMS {1e3 * np.sqrt(np.nanmean(self.error**2)):.2f} mm/s,"

@@ -194,7 +194,7 @@ def read_points(path: Path) -> list[PointTrack]:
     raise InputError(f"{path} is no table of positions of {PROGRAMS}", _EXPORT)
 
 
-_EXPORT = "Export positions as CSV; docs/camera.md shows the layouts."
+_EXPORT = "Export positions as CSV, in a layout that 'Measure speed with an overhead camera' lists."
 
 
 @dataclass(frozen=True)
