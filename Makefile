@@ -28,7 +28,7 @@ UNLIMITED := -o faulthandler_timeout=0
 # Without what it has compiled kept, each process compiles all tests anew, for 15 s.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n auto --dist worksteal
 
-.PHONY: help demo test image qemu soak bench firmware sbom flash size check docs clean lock bootstrap package \
+.PHONY: help demo test image qemu soak bench firmware sbom flash size check docs dist clean lock bootstrap package \
 	unit host_tests coverage toolchain fuzz bench_programs
 
 help: ## list the targets
@@ -139,6 +139,11 @@ docs: package ## the documentation as web pages: build/docs/html/index.html
 	@$(STEP) "building the documentation" $(BIN)/python -m sphinx --builder html --fail-on-warning \
 		--keep-going --quiet docs build/docs/html
 	@echo "build/docs/html/index.html"
+
+dist: firmware ## what is published: source distribution and wheels for five platforms, in build/dist
+	@tools/bootstrap dist
+	@$(STEP) "building the distribution" $(PYTHON) tools/dist.py $(PLATFORMS)
+	@cat build/dist/SHA256SUMS
 
 clean: ## remove everything that was built, but not .venv
 	rm -rf build

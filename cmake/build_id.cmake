@@ -1,6 +1,12 @@
 # The build id comes from git at build time, not at configure time, so that it is never stale.
 # Run as a script (-P) this file writes OUTPUT; included it gives tailbeat_add_build_id().
 if(CMAKE_SCRIPT_MODE_FILE)
+  # A source distribution carries the id of the clone it was made in.
+  if(EXISTS ${SOURCE}/carried/build_id.txt)
+    file(READ ${SOURCE}/carried/build_id.txt id)
+    file(CONFIGURE OUTPUT ${OUTPUT} CONTENT "#define TAILBEAT_BUILD_ID \"${id}\"\n")
+    return()
+  endif()
   execute_process(
     COMMAND git -C ${SOURCE} describe --always --dirty --tags
     OUTPUT_VARIABLE revision ERROR_QUIET OUTPUT_STRIP_TRAILING_WHITESPACE)

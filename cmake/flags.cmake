@@ -29,7 +29,7 @@ endif()
 # The host's library and the benchmarks are optimised for speed, over all files: the simulated board
 # takes a quarter fewer instructions. Not for tests, which are many small programs and have sanitizers, and
 # not for the board, whose image is counted and looked at file by file.
-if(NOT (CMAKE_CROSSCOMPILING OR TAILBEAT_TESTS OR TAILBEAT_SANITIZE OR TAILBEAT_COVERAGE))
+if(NOT (TAILBEAT_BARE_METAL OR TAILBEAT_TESTS OR TAILBEAT_SANITIZE OR TAILBEAT_COVERAGE))
   set(CMAKE_C_FLAGS_RELEASE "-O3 -fno-math-errno") # nobody reads errno: a square root is one instruction
   include(CheckIPOSupported)
   check_ipo_supported(RESULT CMAKE_INTERPROCEDURAL_OPTIMIZATION OUTPUT ipo_missing LANGUAGES C)

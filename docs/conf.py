@@ -14,7 +14,7 @@ HERE = Path(__file__).resolve().parent
 BUILD = HERE.parent / "build" / "docs"
 sys.path.insert(0, str(HERE))
 
-import generate
+import generate  # noqa: E402
 
 
 def name_headers_by_path(folder: Path) -> None:

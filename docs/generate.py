@@ -220,8 +220,8 @@ def page(title: str, purpose: str, *parts: str) -> str:
 PAGES: dict[str, tuple[str, str, Callable[[], Iterable[str]]]] = {
     "parameters": (
         "Board parameters",
-        "Every parameter of the board. `tailbeat param list` prints the present values, "
-        "`tailbeat param set NAME VALUE` changes one.",
+        "Every parameter of the board. `tailbeat params list` prints the present values, "
+        "`tailbeat params set NAME VALUE` changes one.",
         lambda: (parameter_table(), "## Old names", renamed_table()),
     ),
     "messages": (

@@ -41,6 +41,7 @@ SETS = (
     PackageSet("cluster", HOST, "cluster"),
     PackageSet("vboard", "tools/vboard/pyproject.toml"),
     PackageSet("test", "requirements/test.in"),
+    PackageSet("dist", "requirements/dist.in"),
     PackageSet("docs", "requirements/docs.in"),
     PackageSet("develop", "requirements/develop.in"),
 )

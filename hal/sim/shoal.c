@@ -47,6 +47,7 @@ typedef struct {
 
 /* Too much for the stack of a thread. The ring follows it. */
 typedef struct {
+    void *memory; /* from malloc; what lies here is aligned */
     task_t task;
     tail_t tail;
     block_t block;
@@ -424,9 +425,13 @@ static uint64_t longest_delay(const sim_config_t *configs, size_t fish) {
 /* NULL without memory. */
 static work_t *new_work(const task_t *task, size_t fish) {
     const size_t ring = ring_bytes(mask_for(longest_delay(task->configs, fish)));
-    work_t *work = aligned_alloc(_Alignof(work_t), sizeof *work + ring);
-    if (work != NULL) {
+    /* Windows has no aligned_alloc. */
+    char *memory = malloc(_Alignof(work_t) + sizeof(work_t) + ring);
+    work_t *work = NULL;
+    if (memory != NULL) {
+        work = (work_t *)(memory + _Alignof(work_t) - (uintptr_t)memory % _Alignof(work_t));
         memset(work, 0, sizeof *work);
+        work->memory = memory;
         work->task = *task;
         work->task.tail = &work->tail;
         work->block.task = &work->task;
@@ -464,7 +469,7 @@ bool shoal_swim_on(const shoal_lanes_t *lanes, const sim_config_t *configs, size
     for (size_t first = 0; first < fish;) {
         first += swim_some(&work->block, first, fish);
     }
-    free(work);
+    free(work->memory);
     return true;
 }
 

@@ -15,7 +15,7 @@ from tailbeat.app.demo import DemoOptions, run_demo
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core import reference as references
-from tailbeat.core.extras import BUILD_IMAGE
+from tailbeat.core.image import image_remedy
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
 
@@ -165,4 +165,4 @@ def test_vboard_command_without_an_image() -> None:
         command("sim", "board", "no-such.elf"), capture_output=True, text=True, check=False
     )
     assert done.returncode != 0
-    assert done.stderr == f"tailbeat: there is no flash image no-such.elf. {BUILD_IMAGE}\n"
+    assert done.stderr == f"tailbeat: there is no flash image no-such.elf. {image_remedy()}\n"

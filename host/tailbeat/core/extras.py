@@ -21,8 +21,6 @@ from typing import Any
 
 from tailbeat.core.errors import InputError
 
-BUILD_IMAGE = "Build it in a clone of tailbeat: make firmware"  # it is no part of the package
-
 _PACKAGE = "tailbeat"
 _INSTALLER = Path("tools") / "bootstrap"
 
@@ -57,6 +55,14 @@ def remedy(extra: str) -> str:
         words = " ".join(f"'{package}'" for package in packages)
         return f"Install it: {_shortest(Path(sys.executable))} -m pip install {words}"
     return f"It comes with the repository: run '{_INSTALLER} {extra}' in a clone of it."
+
+
+def reinstall() -> str:
+    """What to do about an installation that is not whole."""
+    if (root := checkout()) is not None:
+        return f"Build it again: make -C {_shortest(root)} package"
+    python = _shortest(Path(sys.executable))
+    return f"Install it again: {python} -m pip install --force-reinstall tailbeat"
 
 
 def checkout() -> Path | None:

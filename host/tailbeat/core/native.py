@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from tailbeat.core.errors import TailbeatError
+from tailbeat.core.extras import reinstall
+from tailbeat.core.platform import library_name
 
 HERE = Path(__file__).parent
 
@@ -42,14 +44,12 @@ def load(folder: Path = HERE) -> Native:
 
 
 def load_library(name: str, folder: Path = HERE) -> Native:
-    """Loads libtailbeat_NAME.so by the types in _NAME_types.py; raises as ``load``."""
-    found, library = load_types(name, folder), _present(folder / f"libtailbeat_{name}.so")
+    """Loads the library tailbeat_NAME by the types in _NAME_types.py; raises as ``load``."""
+    found, library = load_types(name, folder), _present(folder / library_name(f"tailbeat_{name}"))
     try:
         return Native(found, found.dlopen(str(library)))
     except OSError as error:
-        raise NativeLibraryError(
-            f"{library.name} does not load ({error})", "Reinstall it with 'pip install ./host'."
-        ) from error
+        raise NativeLibraryError(f"{library.name} does not load ({error})", reinstall()) from error
 
 
 def load_types(name: str, folder: Path = HERE) -> Any:
@@ -66,7 +66,7 @@ def _present(path: Path) -> Path:
     if not path.exists():
         raise NativeLibraryError(
             f"{path.name} is missing: this is not the installed package",
-            "Run 'pip install ./host' and use that.",
+            reinstall(),
         )
     return path
 

@@ -1,7 +1,7 @@
-"""Builds and runs the firmware's unit tests on this computer and reports each one.
+"""Runs the firmware's unit tests on this computer and reports each one.
 
-The tests live in a source tree, not in the installed package; the tree is looked for
-upward from the working folder and from the Python environment.
+An installed package holds them as two programs. In a clone they are built from its sources, with
+sanitizers, one program for each suite.
 """
 
 from __future__ import annotations
@@ -11,12 +11,16 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from tailbeat.core.errors import TailbeatError
+from tailbeat.core.extras import checkout, reinstall
+from tailbeat.core.platform import program_name
 
+PACKAGED = Path(__file__).parent.parent / "selftest"
+_PROGRAMS = ("tailbeat_selftest_mock", "tailbeat_selftest_sim")
 TEST_TIMEOUT_S = 120.0
 UNITY_LINE = re.compile(r"^[^:\n]+:\d+:(\w+):(PASS|FAIL|IGNORE)(?::\s?(.*))?$")
 
@@ -58,20 +62,10 @@ def is_source_tree(folder: Path) -> bool:
     return (folder / "CMakeLists.txt").is_file() and (folder / "tests" / "unit").is_dir()
 
 
-def find_source(starts: Iterable[Path] | None = None) -> Path:
-    """The source tree at or above one of ``starts``.
-
-    Raises:
-        SelftestError: when there is none.
-    """
-    for start in starts if starts is not None else (Path.cwd(), Path(sys.prefix)):
-        for folder in (start, *start.parents):
-            if is_source_tree(folder) and (folder / "firmware").is_dir():
-                return folder
-    raise SelftestError(
-        "no source tree found: the unit tests are not part of the installed package",
-        "Run this inside a clone of tailbeat, or name its folder with --source.",
-    )
+def find_source() -> Path | None:
+    """The clone that runs this program; None when there is none."""
+    root = checkout()
+    return root if root is not None and is_source_tree(root) else None
 
 
 def build_step(command: list[str]) -> None:
@@ -122,12 +116,14 @@ def crash(suite: str, returncode: int, stderr: str) -> SelftestResult:
     return SelftestResult(suite, suite, False, f"{how}: {wrong or (lines or ['no output'])[-1]}")
 
 
-def run_suite(executable: Path) -> list[SelftestResult]:
-    """Runs one executable. A crash, a hang or an unexplained status is a failed test."""
-    suite = executable.name
+def run_suite(executable: Path, suite: str = "") -> list[SelftestResult]:
+    """Runs one suite: a program of its own, or the one called ``suite`` in a program of many. A
+    crash, a hang or an unexplained status is a failed test."""
+    arguments = [suite] if suite else []
+    suite = suite or executable.name
     try:
         done = subprocess.run(
-            [str(executable)],
+            [str(executable), *arguments],
             capture_output=True,
             text=True,
             errors="replace",
@@ -149,21 +145,51 @@ def run_suite(executable: Path) -> list[SelftestResult]:
     return tests
 
 
-def run_selftest(source: Path | None = None, build: Path | None = None) -> SelftestReport:
-    """Builds and runs every unit test.
-
-    Args:
-        source: the source tree; None = find it.
-        build: the folder to build in; None = build/unit in the source tree.
+def packaged_suites(folder: Path = PACKAGED) -> list[tuple[Path, str]]:
+    """The suites in the programs of the installed package: program and name.
 
     Raises:
-        SelftestError: when there is no source tree or the tests do not build.
+        SelftestError: when a program is missing or does not start.
+    """
+    found = []
+    for stem in _PROGRAMS:
+        program = folder / program_name(stem)
+        try:
+            listed = subprocess.run([str(program)], capture_output=True, text=True, check=True)
+        except (OSError, subprocess.CalledProcessError) as error:
+            raise SelftestError(f"{program.name} does not start ({error})", reinstall()) from error
+        found += [(program, suite) for suite in listed.stdout.split()]
+    return found
+
+
+def run_selftest(
+    source: Path | None = None,
+    build: Path | None = None,
+    on_suite: Callable[[float, str], None] = lambda fraction, suite: None,
+) -> SelftestReport:
+    """Runs every unit test.
+
+    Args:
+        source: a clone to build them from; None = the clone that runs this, else the package.
+        build: the folder to build in; None = build/unit in the clone.
+        on_suite: told the part that is done (0 to 1) and what runs now.
+
+    Raises:
+        SelftestError: when the tests do not build or the package lacks them.
     """
     if source is None:
         source = find_source()
     elif not is_source_tree(source):
         raise SelftestError(f"{source} has no tests/unit", "Name the folder of a tailbeat clone.")
-    executables = build_tests(source, build or source / "build" / "unit")
-    if not executables:
-        raise SelftestError(f"{source / 'tests' / 'unit'} holds no tests", "Get a whole clone.")
-    return SelftestReport([test for path in executables for test in run_suite(path)])
+    if source is None:
+        suites = packaged_suites()
+    else:
+        on_suite(0.0, "building")
+        suites = [(program, "") for program in build_tests(source, build or source / "build/unit")]
+        if not suites:
+            raise SelftestError(f"{source}/tests/unit holds no tests", "Get a whole clone.")
+    tests: list[SelftestResult] = []
+    for number, (program, suite) in enumerate(suites):
+        on_suite(number / len(suites), suite or program.name)
+        tests += run_suite(program, suite)
+    return SelftestReport(tests)

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tailbeat.core.errors import InputError, TailbeatError
-from tailbeat.core.extras import BUILD_IMAGE, remedy
-from tailbeat.core.selftest import SelftestError, find_source
+from tailbeat.core.extras import checkout, remedy
+from tailbeat.core.image import default_image, image_remedy
 from tailbeat.sim.board import CONSOLE, RADIO, SimulatedBoard
 from tailbeat.sim.config import DEFAULT_SEED, board_number
 from tailbeat.sim.world import FRAME_US, BoardControls, Wires, World
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from vboard.core.clock import Event
     from vboard.wires.serial_line import SerialLine
 
-IMAGE = Path("build") / "firmware" / "tailbeat.elf"
 ID_PREFIX = b"tailbeat"  # of the unique id; by it the firmware knows that it runs here
 BAUD = 115200
 
@@ -59,8 +58,8 @@ class EmulationError(TailbeatError):
 
 
 class EmulatedBoard(SimulatedBoard):
-    """A SimulatedBoard that runs a flash image. ``image``: .elf or .bin; None = the one that `make
-    firmware` built in the clone that holds the present folder.
+    """A SimulatedBoard that runs a flash image. ``image``: .elf or .bin; None = the one of this
+    clone or of the installed package.
 
     Keyword overrides are the fields of sim_config_t; the links run at 115200 baud, whatever it
     says. ``seed``: None = disturbances as with 1, but a unique id of its own. ``imu_frames_sent``:
@@ -159,8 +158,7 @@ class EmulatedBoard(SimulatedBoard):
         except (BusViolation, Lockup) as error:
             raise EmulationError(
                 f"the image failed on the emulated board: {error}",
-                "If it is an image of tailbeat (make firmware), this is a mistake in the firmware"
-                " or in the emulator; see tools/vboard.",
+                "If it is an image of tailbeat, report a defect of the firmware or the emulator.",
             ) from error
 
     def _follow_time_base(self) -> None:
@@ -232,7 +230,7 @@ class EmulatedBoard(SimulatedBoard):
         try:
             return Board(self.image, unique_id=self._unique_id, seed=self.seed)
         except (ImageError, OSError) as error:
-            raise InputError(f"cannot boot this image: {error}", BUILD_IMAGE) from error
+            raise InputError(f"cannot boot this image: {error}", image_remedy()) from error
 
     def _new_line(self, name: str, baud: int) -> SerialLine:
         from vboard.wires.serial_line import SerialLine
@@ -348,20 +346,10 @@ def _interrupt_afterwards() -> Iterator[list[int]]:
 
 
 def find_image(image: Path | None) -> Path:
-    """``image``, or the one built in this clone. Raises InputError when there is none."""
-    path = image or _built_image()
+    """``image``, or the one there is. Raises InputError when there is none."""
+    path = image or default_image(".elf" if checkout() else ".bin")
     if path.suffix not in (".elf", ".bin"):
         raise InputError(f"{path} is no flash image", "Give the .elf or the .bin that was built.")
     if not path.is_file():
-        raise InputError(f"there is no flash image {path}", BUILD_IMAGE)
+        raise InputError(f"there is no flash image {path}", image_remedy())
     return path
-
-
-def _built_image() -> Path:
-
-    if IMAGE.is_file():
-        return IMAGE
-    try:
-        return find_source() / IMAGE
-    except SelftestError:
-        return IMAGE

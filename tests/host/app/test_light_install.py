@@ -142,7 +142,7 @@ def test_remedy_outside_of_a_clone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "checkout", lambda: None)
     assert "-m pip install 'nicegui>=" in extras.remedy("web")
     assert "'av>=14' 'opencv-python-headless==" in extras.remedy("camera")
-    assert "in a clone" in extras.remedy("vboard")
+    assert "'tailbeat-vboard'" in extras.remedy("vboard")
     with pytest.raises(
         InputError, match=r"^It needs nonsense, which is not installed\. Install it: "
     ):

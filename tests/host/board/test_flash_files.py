@@ -13,7 +13,7 @@ from tailbeat.board.flash.programs import Image
 from tailbeat.board.snapshot import Snapshot, new_folder
 from tailbeat.core import native
 from tailbeat.core.errors import InputError
-from tailbeat.core.extras import BUILD_IMAGE
+from tailbeat.core.image import image_remedy
 from tailbeat.core.native import ffi, lib
 
 BUILD_ID = b"0.1.0-v3-14-ge16d899-dirty"
@@ -66,7 +66,7 @@ def test_what_is_no_image(tmp_path: Path, values: dict[str, int], problem: str) 
     path = image(tmp_path / "a.bin", **values)  # type: ignore[arg-type]
     with pytest.raises(InputError) as refused:
         Image.load(path)
-    assert str(refused.value) == (f"{path} is no image for the board: {problem}. {BUILD_IMAGE}")
+    assert str(refused.value) == (f"{path} is no image for the board: {problem}. {image_remedy()}")
 
 
 def test_an_elf_by_mistake(tmp_path: Path) -> None:

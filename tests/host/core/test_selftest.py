@@ -98,16 +98,37 @@ def test_report_counts() -> None:
     assert isinstance(tests, list) and set(tests[0]) == {"name", "suite", "ok", "message"}
 
 
-def test_finds_the_tree_upward(tmp_path: Path) -> None:
-    (tmp_path / "tests" / "unit").mkdir(parents=True)
-    (tmp_path / "firmware" / "deep").mkdir(parents=True)
-    (tmp_path / "CMakeLists.txt").touch()
-    assert selftest.find_source([tmp_path / "firmware" / "deep"]) == tmp_path
+def test_the_clone_that_runs_this_is_the_source() -> None:
+    assert selftest.find_source() == Path(__file__).parents[3]
+
+
+_MANY = """case "$1" in
+'') echo test_one; echo test_two;;
+*) echo "a.c:1:$1_works:PASS"; echo "1 Tests 0 Failures 0 Ignored";;
+esac"""
+
+
+def test_without_a_clone_the_packaged_programs_are_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(selftest, "checkout", lambda: None)
+    for stem in ("tailbeat_selftest_mock", "tailbeat_selftest_sim"):
+        script(tmp_path, _MANY).rename(tmp_path / stem)
+    suites = selftest.packaged_suites(tmp_path)
+    assert [suite for _, suite in suites] == ["test_one", "test_two"] * 2
+    monkeypatch.setattr(selftest, "packaged_suites", lambda: suites)
+    steps: list[tuple[float, str]] = []
+    report = selftest.run_selftest(on_suite=lambda *step: steps.append(step))
+    assert (report.passed, report.failed) == (4, 0)
+    assert steps[1] == (0.25, "test_two")
+
+
+def test_a_package_without_the_programs_is_explained(tmp_path: Path) -> None:
+    with pytest.raises(SelftestError, match=r"does not start.*again"):
+        selftest.packaged_suites(tmp_path)
 
 
 def test_no_tree_is_explained(tmp_path: Path) -> None:
-    with pytest.raises(SelftestError, match="clone"):
-        selftest.find_source([tmp_path])
     with pytest.raises(SelftestError, match="tests/unit"):
         selftest.run_selftest(tmp_path)
 

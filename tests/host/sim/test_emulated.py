@@ -13,7 +13,9 @@ from typing import Any
 import pytest
 
 from tailbeat.board import connect as find
+from tailbeat.core import image as images
 from tailbeat.core.errors import InputError
+from tailbeat.sim import emulated as emulated_board
 from tailbeat.sim.board import CONSOLE, RADIO, SimBoard
 from tailbeat.sim.emulated import ID_PREFIX, EmulatedBoard, EmulationError
 from tailbeat.sim.world import FRAME_US, Wires, World
@@ -484,21 +486,22 @@ def test_senseless_values(image: Path, query: str) -> None:
     assert bad.value.remedy
 
 
-def test_image_is_looked_for_below_this_folder_and_in_the_clone(
+def test_the_image_is_that_of_the_clone_or_of_the_package(
     image: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    clone = tmp_path / "clone"
-    for folder in ("firmware", "tests/unit", "build/firmware", "docs"):
-        (clone / folder).mkdir(parents=True)
-    (clone / "CMakeLists.txt").touch()
-    monkeypatch.chdir(clone / "docs")
-    with pytest.raises(InputError, match=r"clone/build/firmware/tailbeat\.elf.*make firmware"):
+    monkeypatch.setattr(images, "checkout", lambda: tmp_path)
+    monkeypatch.setattr(emulated_board, "checkout", lambda: tmp_path)
+    with pytest.raises(InputError, match=r"build/firmware/tailbeat\.elf.*make firmware"):
         find.open_transport("vboard")
-    built = clone / "build" / "firmware" / "tailbeat.elf"
+    built = tmp_path / "build" / "firmware" / "tailbeat.elf"
+    built.parent.mkdir(parents=True)
     image.rename(built)
     assert find.open_transport("vboard").board.image == built
-    monkeypatch.chdir(clone)
-    assert find.open_transport("vboard").board.image.resolve() == built
+    monkeypatch.setattr(images, "checkout", lambda: None)
+    monkeypatch.setattr(emulated_board, "checkout", lambda: None)
+    monkeypatch.setattr(images, "PACKAGED", tmp_path / "tailbeat.bin")
+    with pytest.raises(InputError, match=r"tailbeat\.bin.*Reinstall tailbeat from a wheel"):
+        find.open_transport("vboard")
 
 
 def test_what_is_no_image(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import itertools
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from tailbeat.board import bluetooth
 from tailbeat.board.bluetooth import SetupReport
 from tailbeat.board.diagnostics import examine
 from tailbeat.board.diagnostics.evidence import PROBLEM, Finding, worst
+from tailbeat.board.flash.dry_run import preview
 from tailbeat.board.flash.procedure import FlashPlan, FlashReport
 from tailbeat.board.flash.procedure import flash as write_image
 from tailbeat.board.flash.programs import places
@@ -26,6 +28,7 @@ from tailbeat.board.memory import CrashReport
 from tailbeat.board.snapshot import Snapshot
 from tailbeat.board.snapshot import restore as restore_snapshot
 from tailbeat.core.files import plain
+from tailbeat.core.image import default_image
 from tailbeat.core.printable import printable
 from tailbeat.experiment.folder import backup_places
 from tailbeat.link.serial import SerialTransport
@@ -160,9 +163,7 @@ class Tool(StrEnum):
 
 
 def flash(
-    image: Path = arg(
-        "The .bin; OpenOCD takes the .elf next to it.", default=Path("build/firmware/tailbeat.bin")
-    ),
+    image: Path | None = arg("The .bin (OpenOCD: the .elf beside it); default: the packaged one."),
     port: str | None = opt("The board's USB port; default: the only one there is."),
     tool: Tool = opt("By USB with bossac, or over SWD with OpenOCD.", default=Tool.bossac),
     adapter: str = opt("OpenOCD's name for the SWD probe.", default="cmsis-dap"),
@@ -173,6 +174,7 @@ def flash(
     restore: Path | None = opt("Flash nothing; put a backup back.", "BACKUP"),
     connect: str | None = opt("Where to talk to the board, if not by --port.", "URL"),
     yes: bool = opt("Do not ask before a port of another make is touched."),
+    dry_run: bool = opt("Check image, program and port, and print the steps; change nothing."),
 ) -> Output:
     """Write new firmware; parameters, reference and learned data are restored on the board.
 
@@ -182,12 +184,24 @@ def flash(
     """
     if restore is not None:
         return _restore(restore, connect or port or None)
+    image = image or default_image()
     plan = FlashPlan(image, port or None, tool.value, keep, backup_places(out), connect, adapter)
+    if dry_run:
+        return _dry_run(plan)
     with contextlib.closing(_Screen()) as screen:
         report = write_image(
             plan, screen.show, tell=screen.tell, confirm=lambda text: yes or screen.ask(text)
         )
     return Output(report, lambda: _flash_text(report))
+
+
+def _dry_run(plan: FlashPlan) -> Output:
+    found = preview(plan)
+    head = f"{found.image}: {found.build_id}, {found.size_bytes} bytes, can boot"
+    steps = [f"{number}. {step}" for number, step in enumerate(found.steps, 1)]
+    missing = [f"missing: {text}" for text in found.missing]
+    end = "nothing was changed; " + ("ready to flash" if found.ready else "not ready to flash")
+    return Output(asdict(found) | {"ready": found.ready}, lines_of(head, steps, missing, [end]))
 
 
 class _Screen:

@@ -192,15 +192,14 @@ def _serve_text(what: str, speed: float, at: Addresses) -> str:
 
 
 def selftest(
-    source: Path | None = opt("Folder of a clone; default: look for it."),
+    source: Path | None = opt("Folder of a clone; default: the tests of the package."),
 ) -> Output:
-    """Build the firmware's unit tests for this computer and run them.
+    """Run the firmware's unit tests on this computer.
 
     Example: tailbeat sim selftest
     """
-    with progress_bar("building and running") as show:
-        show(0.0, "")
-        report = run_selftest(source)
+    with progress_bar("unit tests") as show:
+        report = run_selftest(source, on_suite=show)
     bad = [test for test in report.tests if not test.ok]
     failed = [f"FAILED {test.suite}: {test.name} {test.message}".rstrip() for test in bad]
     summary = f"{report.passed} tests passed" + (f", {report.failed} failed" if failed else "")

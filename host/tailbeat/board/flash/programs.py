@@ -19,7 +19,8 @@ from pathlib import Path
 from tailbeat.board.flash.ports import BoardPort
 from tailbeat.board.memory import CrashReport
 from tailbeat.core.errors import InputError, TailbeatError, reason
-from tailbeat.core.extras import BUILD_IMAGE
+from tailbeat.core.image import image_remedy
+from tailbeat.core.platform import install_program
 
 BOSSAC, OPENOCD = "bossac", "openocd"
 _ADDR2LINE, _BINUTILS = "arm-none-eabi-addr2line", "binutils-arm-none-eabi"
@@ -50,14 +51,14 @@ class Image:
         data = _read(path)
         problem = _not_bootable(data)
         if problem:
-            raise InputError(f"{path} is no image for the board: {problem}", BUILD_IMAGE)
+            raise InputError(f"{path} is no image for the board: {problem}", image_remedy())
         return cls(path, len(data), _build_id(path, data))
 
     def elf(self) -> Path:
         """The .elf next to the .bin. Raises InputError when it is missing or of another build."""
         path = self.path.with_suffix(".elf")
         if build_id_of(path) != self.build_id:
-            raise InputError(f"{path} and {self.path.name} are of different builds", BUILD_IMAGE)
+            raise InputError(f"{path} and {self.path.name} are of different builds", image_remedy())
         return path
 
     def is_build(self, board_id: str) -> bool:
@@ -75,7 +76,9 @@ def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise InputError(f"cannot read the image {path} ({reason(error)})", BUILD_IMAGE) from error
+        raise InputError(
+            f"cannot read the image {path} ({reason(error)})", image_remedy()
+        ) from error
 
 
 def _not_bootable(data: bytes) -> str:
@@ -97,7 +100,7 @@ def _not_bootable(data: bytes) -> str:
 def _build_id(path: Path, data: bytes) -> str:
     found = {match[1] for match in _BUILD_ID.finditer(data)}
     if len(found) != 1:
-        raise InputError(f"{path} does not say which build of tailbeat it is", BUILD_IMAGE)
+        raise InputError(f"{path} does not say which build of tailbeat it is", image_remedy())
     return found.pop().decode()
 
 
@@ -146,7 +149,7 @@ def run_program(command: Sequence[str], timeout_s: float) -> ProgramResult:
 def require_program(name: str, package: str) -> None:
     """Raises InputError when ``name`` is not installed."""
     if shutil.which(name) is None:
-        raise InputError(f"the program {name} is missing", f"Install it: apt-get install {package}")
+        raise InputError(f"the program {name} is missing", install_program(package))
 
 
 _ASK_TIMEOUT_S = 20.0

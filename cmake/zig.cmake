@@ -1,0 +1,21 @@
+# Another kind of computer, with the C compiler of the Python package ziglang (tools/dist.py).
+# Environment: TAILBEAT_ZIG_TARGET, as x86_64-linux-gnu.2.17; TAILBEAT_ZIG_TOOLS, a folder with cc, ar and
+# ranlib for that target. CMake reads this file again for each of its trial programs.
+if($ENV{TAILBEAT_ZIG_TARGET} MATCHES "windows")
+  set(CMAKE_SYSTEM_NAME Windows)
+elseif($ENV{TAILBEAT_ZIG_TARGET} MATCHES "macos")
+  set(CMAKE_SYSTEM_NAME Darwin)
+else()
+  set(CMAKE_SYSTEM_NAME Linux)
+endif()
+string(REGEX REPLACE "-.*" "" CMAKE_SYSTEM_PROCESSOR "$ENV{TAILBEAT_ZIG_TARGET}")
+if(CMAKE_SYSTEM_NAME STREQUAL Linux)
+  set(CMAKE_SHARED_LINKER_FLAGS_INIT -s)
+  set(CMAKE_MODULE_LINKER_FLAGS_INIT -s)
+  set(CMAKE_EXE_LINKER_FLAGS_INIT -s)
+endif()
+set(CMAKE_C_COMPILER $ENV{TAILBEAT_ZIG_TOOLS}/cc)
+set(CMAKE_AR $ENV{TAILBEAT_ZIG_TOOLS}/ar CACHE FILEPATH "")
+set(CMAKE_RANLIB $ENV{TAILBEAT_ZIG_TOOLS}/ranlib CACHE FILEPATH "")
+set(CMAKE_C_COMPILER_AR ${CMAKE_AR} CACHE FILEPATH "")
+set(CMAKE_C_COMPILER_RANLIB ${CMAKE_RANLIB} CACHE FILEPATH "")
