@@ -36,7 +36,7 @@ FACTOR, MORE_M_S = 1.10, 0.001
 NOT_TAILBEAT = (". .venv/bin/activate",)
 
 
-def block(page: str, heading: str, language: str = "") -> str:
+def block(page: str, heading: str, language: str = "sh") -> str:
     """The first code block below a heading."""
     text = (ROOT / page).read_text(encoding="utf-8")
     section = re.split(r"^## ", text, flags=re.MULTILINE)
@@ -122,7 +122,7 @@ def terminal(
 @pytest.fixture
 def python(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], Trial]]:
     """Executes the Python session of a seed; its last trial."""
-    text = block("docs/tutorial/first-trial.md", "8. The same from Python", "python")
+    text = block("docs/tutorial/first-trial.md", "8. Use Python", "python")
 
     def execute(seed: int) -> Trial:
         monkeypatch.setattr("tailbeat.sim.board.DEFAULT_SEED", seed)
@@ -163,7 +163,7 @@ def by_getting_started(terminal: Terminal, seed: int) -> bool:
     terminal.begin(seed)
     terminal.says("tailbeat", "sim", "&")
     page = "docs/tutorial/first-trial.md"
-    for heading in ("3. Tell it what to swim", "4. Set the law", "5. Swim and learn"):
+    for heading in ("3. Upload a reference", "4. Set the law", "5. Run trials"):
         for words in commands(block(page, heading)):
             then = ("--then", "keep") if words[1:3] == ["trial", "run"] else ()
             terminal.says(*words, *then)

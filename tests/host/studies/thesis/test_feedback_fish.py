@@ -1,4 +1,4 @@
-"""What docs/explanation/thesis.md and chapter5.md say of the estimator laws on a fish in SI units,
+"""What the thesis's page says of the estimator laws on a fish in SI units,
 dv/dt = -alpha v|v| + u, computed with the C law."""
 
 from __future__ import annotations
