@@ -1,4 +1,6 @@
-"""tailbeat: a robotic fish learns to swim along a speed profile.
+"""tailbeat: a robotic fish learns to track a speed profile.
+
+::
 
     from tailbeat import Fish, reference, run_trial
     with Fish.connect("sim") as fish:
