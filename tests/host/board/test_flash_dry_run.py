@@ -6,13 +6,13 @@ import json
 from pathlib import Path
 
 import pytest
+from tests.host.board.test_flash_files import image
 from typer.testing import CliRunner
 
 from tailbeat.app.cli.app import app
 from tailbeat.board.flash import dry_run
 from tailbeat.board.flash.procedure import FlashPlan, Surroundings
 from tailbeat.core.errors import InputError
-from tests.host.board.test_flash_files import image
 
 
 def world(**changes: object) -> Surroundings:
