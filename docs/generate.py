@@ -11,7 +11,7 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
-import re
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,10 @@ import typer.main
 from pymavlink.generator import mavparse
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from wire.param_metadata import macro_rows  # noqa: E402
+
 PAGES_AT = ROOT / "docs" / "reference" / "generated"
 HOST = ROOT / "host" / "tailbeat"
 DIALECT = ROOT / "wire" / "tailbeat.xml"
@@ -80,13 +84,6 @@ def enum_tables() -> str:
         values = table(("value", "name", ""), rows)
         parts.append(f"### {enum.name}\n\n{enum.description}\n\n{values}")
     return "\n\n".join(parts)
-
-
-def macro_rows(path: Path, macro: str) -> list[list[str]]:
-    """The arguments of every ``MACRO(...)`` line of a table file."""
-    calls = re.findall(rf"^{macro}\((.*)\)$", path.read_text(), re.MULTILINE)
-    split = re.compile(r'"((?:[^"\\]|\\.)*)"|([^,\s]+)')
-    return [[quoted or bare for quoted, bare in split.findall(call)] for call in calls]
 
 
 def number(text: str) -> str:

@@ -212,6 +212,8 @@ static link_send_t find_sender(uint32_t message) {
     } senders[] = {
         {MAVLINK_MSG_ID_HEARTBEAT, link_send_heartbeat},
         {MAVLINK_MSG_ID_AUTOPILOT_VERSION, link_send_version},
+        {MAVLINK_MSG_ID_COMPONENT_METADATA, link_send_component_metadata},
+        {MAVLINK_MSG_ID_SYS_STATUS, link_send_sys_status},
         {MAVLINK_MSG_ID_BATTERY_STATUS, link_send_battery},
         {MAVLINK_MSG_ID_TAILBEAT_STATUS, link_send_status},
         {MAVLINK_MSG_ID_TAILBEAT_LEARN_REPORT, link_send_learn_report},
@@ -240,6 +242,16 @@ static void request_amplitudes(link_t *link, const link_received_t *in, const re
     link_send_amplitudes(link, in->channel, (uint8_t)set, (uint16_t)first);
 }
 
+static void request_modes(const link_received_t *in, const request_t *request) {
+    uint32_t index = 0;
+    if (!read_whole(request->param2, 0.0f, (float)STATE_COUNT, &index)) {
+        answer_command(in, request->command, bad_values);
+        return;
+    }
+    send_answer(in, request->command, accepted);
+    link_send_modes(in->channel, index);
+}
+
 static void request_message(link_t *link, const link_received_t *in, const request_t *request) {
     uint32_t message = 0;
     if (!read_whole(request->param1, 0.0f, WHOLE_MAX, &message)) {
@@ -250,6 +262,10 @@ static void request_message(link_t *link, const link_received_t *in, const reque
         request_amplitudes(link, in, request);
         return;
     }
+    if (message == MAVLINK_MSG_ID_AVAILABLE_MODES) {
+        request_modes(in, request);
+        return;
+    }
     const link_send_t send = find_sender(message);
     send_answer(in, request->command, send != NULL ? accepted : unsupported);
     if (send != NULL) {
@@ -257,12 +273,19 @@ static void request_message(link_t *link, const link_received_t *in, const reque
     }
 }
 
-/* Only the raw IMU frames come at a rate of the host's choice. */
 static answer_t set_interval(link_t *link, const link_received_t *in, const request_t *request) {
-    if (request->param1 != (float)MAVLINK_MSG_ID_TAILBEAT_IMU) {
+    const hal_port_t port = in->channel->port;
+    uint32_t message = 0;
+    if (!read_whole(request->param1, 0.0f, WHOLE_MAX, &message)) {
+        return bad_values;
+    }
+    if (message == MAVLINK_MSG_ID_TAILBEAT_IMU) {
+        return link_imu_interval(link, port, request->param2) ? accepted : bad_values;
+    }
+    if (!link_has_interval(message)) {
         return unsupported;
     }
-    return link_imu_interval(link, in->channel->port, request->param2) ? accepted : bad_values;
+    return link_set_interval(link, port, message, request->param2) ? accepted : bad_values;
 }
 
 /* With the right key and the board's time the next one is believed; otherwise none ever is. */

@@ -71,7 +71,16 @@ static ftp_path_t classify(const char *path) {
             return FTP_PATH_RECORD;
         }
     }
-    return FTP_PATH_HIDDEN;
+    return ftp_path_metadata(path) != NULL ? FTP_PATH_METADATA : FTP_PATH_HIDDEN;
+}
+
+const link_file_bytes_t *ftp_path_metadata(const char *path) {
+    for (uint32_t i = 0; i < LINK_METADATA_FILES; i++) {
+        if (strcmp(path, link_metadata[i].path) == 0) {
+            return &link_metadata[i];
+        }
+    }
+    return NULL;
 }
 
 ftp_path_t ftp_path_parse(const uint8_t *bytes, uint8_t length, char *path) {

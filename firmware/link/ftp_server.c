@@ -50,7 +50,7 @@ static ftp_error_t close_session(ftp_server_t *ftp) {
     }
     ftp->open = false;
     ftp->bursting = false;
-    return from_store(store_close(ftp->store, &ftp->file));
+    return ftp->metadata != NULL ? FTP_OK : from_store(store_close(ftp->store, &ftp->file));
 }
 
 static bool is_silent(const ftp_server_t *ftp) {
@@ -78,7 +78,9 @@ static ftp_error_t open_session(ftp_server_t *ftp, const ftp_request_t *request,
         return FTP_NO_SESSIONS;
     }
     (void)close_session(ftp);
-    const ftp_error_t error = from_store(store_open(ftp->store, &ftp->file, path, mode));
+    ftp->metadata = mode == STORE_READ ? ftp_path_metadata(path) : NULL;
+    const ftp_error_t error =
+        ftp->metadata != NULL ? FTP_OK : from_store(store_open(ftp->store, &ftp->file, path, mode));
     if (error == FTP_OK) {
         ftp->open = true;
         ftp->writing = mode != STORE_READ;
@@ -94,13 +96,29 @@ static ftp_error_t readable(const ftp_server_t *ftp, const ftp_request_t *reques
     const ftp_path_t kind = ftp_path_parse(request->data, request->size, path);
     *info = (log_info_t){.packed = false};
     if (kind != FTP_PATH_TRIAL && kind != FTP_PATH_PACKED && kind != FTP_PATH_UPLOAD &&
-        kind != FTP_PATH_RECORD) {
+        kind != FTP_PATH_RECORD && kind != FTP_PATH_METADATA) {
         return FTP_NOT_FOUND;
     }
     if (is_busy(ftp, path)) {
         return FTP_PROTECTED;
     }
     return kind == FTP_PATH_TRIAL ? from_store(log_info(ftp->store, path, info)) : FTP_OK;
+}
+
+static uint32_t readable_bytes(const ftp_server_t *ftp) {
+    return ftp->metadata != NULL ? ftp->metadata->size : ftp->reader.size;
+}
+
+/* As store_read_at, from what is open for reading; |offset| is below its end. */
+static store_result_t read_bytes(ftp_server_t *ftp, uint32_t offset, uint8_t *out, size_t max,
+                                 size_t *got) {
+    if (ftp->metadata == NULL) {
+        return log_reader_read(&ftp->reader, offset, out, max, got);
+    }
+    const size_t rest = ftp->metadata->size - offset;
+    *got = rest < max ? rest : max;
+    memcpy(out, ftp->metadata->bytes + offset, *got);
+    return STORE_OK;
 }
 
 static ftp_error_t open_for_reading(ftp_server_t *ftp, const ftp_request_t *request,
@@ -111,10 +129,10 @@ static ftp_error_t open_for_reading(ftp_server_t *ftp, const ftp_request_t *requ
     if (error == FTP_OK) {
         error = open_session(ftp, request, path, STORE_READ);
     }
-    if (error == FTP_OK) {
+    if (error == FTP_OK && ftp->metadata == NULL) {
         log_reader_begin(&ftp->reader, ftp->store, &ftp->file, &info);
-        ftp_set_u32(reply, ftp->reader.size);
     }
+    ftp_set_u32(reply, readable_bytes(ftp));
     return error;
 }
 
@@ -136,12 +154,12 @@ static ftp_error_t read_file(ftp_server_t *ftp, const ftp_request_t *request, ui
     if (!owns_session(ftp, request) || ftp->writing) {
         return FTP_INVALID_SESSION;
     }
-    if (request->offset >= ftp->reader.size) {
+    if (request->offset >= readable_bytes(ftp)) {
         return FTP_EOF;
     }
     size_t got = 0;
-    const store_result_t result = log_reader_read(
-        &ftp->reader, request->offset, reply + FTP_HEADER_BYTES, wanted_bytes(request), &got);
+    const store_result_t result =
+        read_bytes(ftp, request->offset, reply + FTP_HEADER_BYTES, wanted_bytes(request), &got);
     ftp_set_size(reply, (uint8_t)got);
     return from_store(result);
 }
@@ -151,7 +169,7 @@ static ftp_error_t begin_burst(ftp_server_t *ftp, const ftp_request_t *request) 
         return FTP_INVALID_SESSION;
     }
     ftp->bursting = false;
-    if (request->offset >= ftp->reader.size) {
+    if (request->offset >= readable_bytes(ftp)) {
         return FTP_EOF;
     }
     ftp->bursting = true;
@@ -212,7 +230,10 @@ static ftp_error_t checksum(ftp_server_t *ftp, const ftp_request_t *request, uin
     if (info.packed && ftp->conditions.read_only) {
         return FTP_PROTECTED;
     }
-    if (error == FTP_OK) {
+    const link_file_bytes_t *metadata = ftp_path_metadata(path);
+    if (error == FTP_OK && metadata != NULL) {
+        crc = crc32_update(0, metadata->bytes, metadata->size);
+    } else if (error == FTP_OK) {
         error = from_store(info.packed ? log_reader_crc32(&ftp->reader, ftp->store, path, &crc)
                                        : store_crc32(ftp->store, path, &crc));
     }
@@ -348,8 +369,8 @@ bool ftp_server_burst(ftp_server_t *ftp, uint8_t *reply) {
     }
     memset(reply, 0, FTP_PAYLOAD_BYTES);
     size_t got = 0;
-    const store_result_t result = log_reader_read(&ftp->reader, ftp->burst_offset,
-                                                  reply + FTP_HEADER_BYTES, ftp->burst_size, &got);
+    const store_result_t result =
+        read_bytes(ftp, ftp->burst_offset, reply + FTP_HEADER_BYTES, ftp->burst_size, &got);
     const uint32_t next = ftp->burst_offset + (uint32_t)got;
     ftp->burst_left--;
     const bool failed = result != STORE_OK || got == 0;
@@ -358,7 +379,7 @@ bool ftp_server_burst(ftp_server_t *ftp, uint8_t *reply) {
         .session = ftp->session,
         .offset = ftp->burst_offset,
         .size = (uint8_t)got,
-        .complete = failed || ftp->burst_left == 0 || next >= ftp->reader.size,
+        .complete = failed || ftp->burst_left == 0 || next >= readable_bytes(ftp),
     };
     ftp_put_burst(&packet, reply);
     if (failed) {

@@ -22,6 +22,7 @@
 #ifndef LINK_FTP_SERVER_H
 #define LINK_FTP_SERVER_H
 
+#include "link/metadata.h"
 #include "store/log_reader.h"
 
 #include <stdbool.h>
@@ -52,7 +53,8 @@ typedef struct {
     store_t *store;
     ftp_conditions_t conditions;
     store_file_t file;
-    log_reader_t reader; /* of |file|, while it is read */
+    log_reader_t reader;               /* of |file|, while it is read */
+    const link_file_bytes_t *metadata; /* what is read instead; NULL = |file| */
     bool open, writing;
     uint8_t session;
     ftp_host_t owner;

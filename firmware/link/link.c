@@ -41,9 +41,17 @@ void link_send_to_heard(link_t *link, link_send_t send) {
     }
 }
 
+/* Another fish, and not a host that calls itself a generic one. Earlier firmware was a submarine.
+ */
+static bool is_board(const mavlink_message_t *message) {
+    const uint8_t type = mavlink_msg_heartbeat_get_type(message);
+    return (type == MAV_TYPE_GENERIC || type == MAV_TYPE_SUBMARINE) &&
+           mavlink_msg_heartbeat_get_autopilot(message) == MAV_AUTOPILOT_GENERIC &&
+           (mavlink_msg_heartbeat_get_base_mode(message) & MAV_MODE_FLAG_CUSTOM_MODE_ENABLED) != 0;
+}
+
 static void on_heartbeat(link_t *link, const link_received_t *in) {
-    if (in->verdict == SIGNING_TRUSTED &&
-        mavlink_msg_heartbeat_get_type(in->message) != MAV_TYPE_SUBMARINE) {
+    if (in->verdict == SIGNING_TRUSTED && !is_board(in->message)) {
         link->handlers.heartbeat(link->handlers.context, in->channel->port, in->message->sysid,
                                  in->message->compid);
     }
@@ -146,6 +154,7 @@ static const route_t routes[] = {
     {MAVLINK_MSG_ID_PARAM_REQUEST_LIST, false, link_on_param_request_list},
     {MAVLINK_MSG_ID_PARAM_REQUEST_READ, false, link_on_param_request_read},
     {MAVLINK_MSG_ID_PARAM_SET, true, link_on_param_set},
+    {MAVLINK_MSG_ID_MISSION_REQUEST_LIST, false, link_on_mission_request_list},
     {MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL, true, on_ftp},
     {MAVLINK_MSG_ID_SETUP_SIGNING, true, link_on_setup_signing},
 };

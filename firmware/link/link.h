@@ -154,6 +154,15 @@ typedef struct {
     imu_frame_t frame[LINK_IMU_FRAMES];
 } link_imu_stream_t;
 
+/* When a message is sent on a port. */
+typedef struct {
+    uint32_t interval_us; /* 0 = as usual */
+    bool off;
+    uint64_t next_us;
+} link_interval_t;
+
+#define LINK_INTERVALS 3u /* telemetry.c has their messages */
+
 typedef struct {
     hal_t *hal;
     store_t *store;
@@ -165,9 +174,10 @@ typedef struct {
     ftp_server_t ftp;
     link_learn_report_t last_learned; /* trial 0 = none */
     link_imu_stream_t imu_stream;
+    link_interval_t interval[LINK_PORTS][LINK_INTERVALS];
     uint32_t imu_digest;
     uint64_t heard_until_us[LINK_PORTS]; /* telemetry goes there until then */
-    uint64_t next_heartbeat_us, next_slow_us, next_live_us, next_health_us;
+    uint64_t next_heartbeat_us, next_slow_us, next_health_us;
     uint64_t next_refusal_us; /* when the next one is told as text */
     uint32_t status_digest;
     uint16_t param_stream_next[LINK_PORTS]; /* of a PARAM_REQUEST_LIST; PARAM_COUNT = none */

@@ -45,6 +45,7 @@ void link_send_health(link_t *link, channel_t *channel);
 void link_send_imu_info(link_t *link, channel_t *channel);
 void link_send_learn_report(link_t *link, channel_t *channel);
 void link_send_version(link_t *link, channel_t *channel);
+void link_send_sys_status(link_t *link, channel_t *channel);
 void link_send_amplitudes(link_t *link, channel_t *channel, uint8_t set, uint16_t first);
 void link_send_text(channel_t *channel, uint8_t severity, const char *text);
 mavlink_tailbeat_status_t link_status_message(const link_t *link);
@@ -54,8 +55,17 @@ mavlink_tailbeat_status_t link_status_message(const link_t *link);
 fault_t link_refusal(link_t *link, const link_received_t *in);
 void link_on_setup_signing(link_t *link, const link_received_t *in);
 
-/* telemetry.c: what is due. */
+/* discovery.c: what ground stations ask when they connect. Modes are counted from 1,
+ * STATE_COUNT at most; 0 = all of them. */
+void link_send_component_metadata(link_t *link, channel_t *channel);
+void link_send_modes(channel_t *channel, uint32_t index);
+void link_on_mission_request_list(link_t *link, const link_received_t *in);
+
+/* telemetry.c: what is due. link_set_interval() is MAV_CMD_SET_MESSAGE_INTERVAL for a message that
+ * is sent regularly, on one port: -1 = not at all, 0 = as usual. */
 void link_telemetry(link_t *link);
+bool link_has_interval(uint32_t message);
+bool link_set_interval(link_t *link, hal_port_t port, uint32_t message, float interval_us);
 
 /* imu_stream.c: MAV_CMD_SET_MESSAGE_INTERVAL of TAILBEAT_IMU; |interval_us| as there. */
 bool link_imu_interval(link_t *link, hal_port_t port, float interval_us);

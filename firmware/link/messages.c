@@ -41,8 +41,8 @@ void link_send_heartbeat(link_t *link, channel_t *channel) {
     const link_status_t *status = link->status;
     const bool armed = state_is_armed(status->state);
     const mavlink_heartbeat_t heartbeat = {
-        .custom_mode = (uint32_t)status->state | (uint32_t)status->fault << 8,
-        .type = MAV_TYPE_SUBMARINE,
+        .custom_mode = (uint32_t)status->state, /* as AVAILABLE_MODES names them */
+        .type = MAV_TYPE_GENERIC,               /* programs have names of modes for others */
         .autopilot = MAV_AUTOPILOT_GENERIC,
         .base_mode =
             (uint8_t)(MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (armed ? MAV_MODE_FLAG_SAFETY_ARMED : 0)),
@@ -97,6 +97,23 @@ void link_send_battery(link_t *link, channel_t *channel) {
         battery.voltages[0] = link->status->battery.mv;
     }
     LINK_SEND(channel, BATTERY_STATUS, &battery);
+}
+
+void link_send_sys_status(link_t *link, channel_t *channel) {
+    const battery_voltage_t *battery = &link->status->battery;
+    const uint32_t imu = MAV_SYS_STATUS_SENSOR_3D_GYRO | MAV_SYS_STATUS_SENSOR_3D_ACCEL;
+    const uint32_t sensors = imu | MAV_SYS_STATUS_SENSOR_BATTERY;
+    mavlink_sys_status_t fields = {
+        .onboard_control_sensors_present = sensors,
+        .onboard_control_sensors_enabled = sensors,
+        .onboard_control_sensors_health =
+            (link->status->imu->driver.problem == IMU_PROBLEM_NONE ? imu : 0) |
+            (battery->at_limit ? 0 : MAV_SYS_STATUS_SENSOR_BATTERY),
+        .voltage_battery = battery->at_limit ? UINT16_MAX : battery->mv,
+        .current_battery = -1,
+        .battery_remaining = -1,
+    };
+    LINK_SEND(channel, SYS_STATUS, &fields);
 }
 
 void link_send_attitude(link_t *link, channel_t *channel) {

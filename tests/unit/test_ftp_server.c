@@ -154,6 +154,33 @@ static void test_opens_only_what_it_shows(void) {
     }
 }
 
+static void test_reads_what_the_image_holds(void) {
+    for (size_t i = 0; i < LINK_METADATA_FILES; i++) {
+        const link_file_bytes_t *file = &link_metadata[i];
+        const uint8_t session = open_ro(file->path);
+        TEST_ASSERT_EQUAL(file->size, bytes_get_u32(reply + 12));
+        uint32_t at = 0;
+        TEST_ASSERT_FALSE(ask(FTP_OP_BURST, session, 0, NULL, 239));
+        while (ftp_server_burst(&ftp, reply)) {
+            TEST_ASSERT_EQUAL_MEMORY(file->bytes + at, reply + 12, reply[4]);
+            at += reply[4];
+        }
+        TEST_ASSERT_EQUAL(file->size, at);
+        TEST_ASSERT_TRUE(ask(FTP_OP_READ, session, file->size - 3, NULL, 239));
+        TEST_ASSERT_EQUAL(3, reply[4]);
+        TEST_ASSERT_TRUE(ask(FTP_OP_READ, session, file->size, NULL, 239));
+        expect_nak(FTP_EOF);
+        ask_path(FTP_OP_CRC32, file->path);
+        TEST_ASSERT_EQUAL_HEX32(crc32_update(0, file->bytes, file->size),
+                                bytes_get_u32(reply + 12));
+    }
+    put_file("/trials/0001.ulg", 300); /* and then a file of the store */
+    (void)open_ro("/trials/0001.ulg");
+    TEST_ASSERT_EQUAL(300, bytes_get_u32(reply + 12));
+    ask_path(FTP_OP_CREATE, link_metadata[0].path);
+    expect_nak(FTP_PROTECTED);
+}
+
 static void test_crc32_is_that_of_mavlink_ftp(void) {
     TEST_ASSERT_EQUAL(STORE_OK, store_replace(&store, "/reference.bin", "123456789", 9));
     ask_path(FTP_OP_CRC32, "/reference.bin");
@@ -248,6 +275,7 @@ int main(void) {
     RUN_TEST(test_reads_a_file);
     RUN_TEST(test_reads_an_empty_file);
     RUN_TEST(test_opens_only_what_it_shows);
+    RUN_TEST(test_reads_what_the_image_holds);
     RUN_TEST(test_crc32_is_that_of_mavlink_ftp);
     RUN_TEST(test_burst_to_the_end_of_the_file);
     RUN_TEST(test_burst_marks_only_its_last_packet);

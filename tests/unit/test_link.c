@@ -23,11 +23,11 @@ static void test_heartbeat_tells_state_and_arming(void) {
     };
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
         const mavlink_heartbeat_t heartbeat = heartbeat_of(cases[i].state, FAULT_TILT);
-        TEST_ASSERT_EQUAL(MAV_TYPE_SUBMARINE, heartbeat.type);
+        TEST_ASSERT_EQUAL(MAV_TYPE_GENERIC, heartbeat.type);
         TEST_ASSERT_EQUAL(MAV_AUTOPILOT_GENERIC, heartbeat.autopilot);
         TEST_ASSERT_EQUAL(3, heartbeat.mavlink_version);
         TEST_ASSERT_EQUAL(cases[i].armed ? 0x81 : 0x01, heartbeat.base_mode);
-        TEST_ASSERT_EQUAL(cases[i].state | FAULT_TILT << 8, heartbeat.custom_mode);
+        TEST_ASSERT_EQUAL(cases[i].state, heartbeat.custom_mode);
         TEST_ASSERT_EQUAL(cases[i].system_status, heartbeat.system_status);
     }
 }
@@ -118,14 +118,27 @@ static void test_battery_and_attitude_for_other_programs(void) {
     TEST_ASSERT_EQUAL_FLOAT(0.25f, attitude.yawspeed);
 }
 
+static void send_fish_heartbeat(uint8_t type) {
+    mavlink_message_t message;
+    const mavlink_heartbeat_t fields = {.type = type,
+                                        .autopilot = MAV_AUTOPILOT_GENERIC,
+                                        .base_mode = MAV_MODE_FLAG_CUSTOM_MODE_ENABLED};
+    mavlink_msg_heartbeat_encode_status(2, 1, &peer_tx, &message, &fields);
+    peer_send(HAL_PORT_CONSOLE, &message);
+}
+
 static void test_hands_heartbeats_on(void) {
     send_heartbeat(HAL_PORT_CONSOLE, MAV_TYPE_GCS, 250);
     poll();
     TEST_ASSERT_EQUAL(2, heartbeats);
     TEST_ASSERT_EQUAL(250, last_heartbeat_system);
-    send_heartbeat(HAL_PORT_CONSOLE, MAV_TYPE_SUBMARINE, 2); /* another fish */
+    send_fish_heartbeat(MAV_TYPE_GENERIC);
+    send_fish_heartbeat(MAV_TYPE_SUBMARINE); /* with earlier firmware */
     poll();
     TEST_ASSERT_EQUAL(2, heartbeats);
+    send_heartbeat(HAL_PORT_CONSOLE, MAV_TYPE_GENERIC, 250); /* a script that is no vehicle */
+    poll();
+    TEST_ASSERT_EQUAL(3, heartbeats);
 }
 
 static void test_does_not_listen_to_its_own_echo(void) {

@@ -80,7 +80,7 @@ static void test_senseless_intervals_and_other_messages(void) {
         expect_answer(MAV_CMD_SET_MESSAGE_INTERVAL, MAV_RESULT_DENIED, FAULT_BAD_DATA);
     }
     peer_inbox_count = 0;
-    send_command(MAV_CMD_SET_MESSAGE_INTERVAL, MAVLINK_MSG_ID_ATTITUDE, 10000.0f);
+    send_command(MAV_CMD_SET_MESSAGE_INTERVAL, MAVLINK_MSG_ID_TAILBEAT_HEALTH, 50000.0f);
     expect_answer(MAV_CMD_SET_MESSAGE_INTERVAL, MAV_RESULT_UNSUPPORTED, FAULT_UNKNOWN_COMMAND);
     TEST_ASSERT_EQUAL_UINT(0, stream(8));
 }

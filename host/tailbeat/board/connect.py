@@ -158,13 +158,17 @@ def hear_board(
     return None
 
 
+# Earlier firmware was a submarine, for which other programs have names of modes.
+_BOARD_TYPES = (mavlink.MAV_TYPE_GENERIC, mavlink.MAV_TYPE_SUBMARINE)
+
+
 def is_board(message: Message) -> bool:
     """Whether this is a heartbeat of a fish."""
     return bool(
         message.get_type() == "HEARTBEAT"
         and message.get_srcSystem() == BOARD_SYSTEM
         and message.get_srcComponent() == BOARD_COMPONENT
-        and message.type == mavlink.MAV_TYPE_SUBMARINE
+        and message.type in _BOARD_TYPES
         and message.autopilot == mavlink.MAV_AUTOPILOT_GENERIC
     )
 

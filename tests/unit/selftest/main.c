@@ -1,6 +1,6 @@
 /* Lists the suites of unit tests, or runs the one that is named. One per process, as they have
- * static variables. Exit status: the number of failed tests; 2 and a line on stderr for a suite that
- * does not exist. */
+ * static variables. Exit status: the number of failed tests; 2 and a line on stderr for a suite
+ * that does not exist. */
 #include "suites.h"
 
 #include <stdio.h>
