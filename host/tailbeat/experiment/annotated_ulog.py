@@ -116,7 +116,7 @@ def _time(trial: Trial, start: TrialStart) -> list[Record]:
     if not start.known:
         return []
     return [
-        ulog.info("uint64_t start_utc_us", struct.pack("<Q", start.utc_ns // 1000)),
+        ulog.info("uint64_t start_utc_us", struct.pack("<Q", start.host_ns // 1000)),
         ulog.info("int32_t time_ref_utc", struct.pack("<i", start.zone_s)),
     ]
 
@@ -127,7 +127,7 @@ def _clock(trial: Trial, start: TrialStart) -> list[Record]:
     return [
         ulog.data(
             _IDS[CLOCK],
-            struct.pack("<QQ", trial.start_us + since_us, start.utc_ns // 1000 + since_us),
+            struct.pack("<QQ", trial.start_us + since_us, start.host_ns // 1000 + since_us),
         )
         for since_us in (0, beats_us)
     ]

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from tailbeat.core import ulog
+from tailbeat.core.csv import read_rows
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.extras import need
 from tailbeat.core.files import canonical, plain, replacing
@@ -38,12 +39,12 @@ Values = dict[str, Any]
 
 @dataclass(frozen=True)
 class _Swum:
-    """A trial and what its messages need. ``log``: the bytes of its file."""
+    """A trial and what its messages need. ``raw``: the folder with its files."""
 
     trial: Trial
     row: TrialRow
     start: TrialStart
-    log: bytes
+    raw: Path
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ def _trial_messages(
 ) -> Iterator[_Message]:
     """One trial after the other."""
     for trial, row, start in zip(analysis.trials, analysis.rows, starts, strict=True):
-        one = _Swum(trial, row, start, (experiment.raw / row.file).read_bytes())
+        one = _Swum(trial, row, start, experiment.raw)
         messages = [
             _Message(start.utc_ns + round(t_s * 1e9), topic.name, _timed(topic, one, t_s, values))
             for topic in TOPICS
@@ -180,6 +181,15 @@ def _slots(*names: str) -> Callable[[_Swum], Iterator[tuple[float, Values]]]:
     return rows
 
 
+def _positions(one: _Swum) -> Iterator[tuple[float, Values]]:
+    """What a camera saw while the fish swam, if there was one."""
+    path = one.raw / f"{Path(one.row.file).stem}_positions.csv"
+    if path.is_file():
+        for _, cells in read_rows(path, ("t_s", *_POSITION)):
+            t_s, *place = map(float, cells)
+            yield t_s, dict(zip(_POSITION, place, strict=True))
+
+
 def _battery(one: _Swum) -> Iterator[tuple[float, Values]]:
     for t_s, voltage_v in one.trial.battery_v:
         yield t_s, {"voltage_v": round(voltage_v, 6)}
@@ -194,7 +204,7 @@ def _log(one: _Swum) -> Iterator[tuple[float, Values]]:
     trial, row = one.trial, one.row
     made = f", input: {trial.input}" if trial.input else ""
     yield 0.0, _line(f"trial {trial.number} begins, iteration {trial.iteration}{made}", _INFO)
-    for record in ulog.records(one.log):
+    for record in ulog.records((one.raw / row.file).read_bytes()):
         if record.kind == b"L":
             (time_us,) = struct.unpack_from("<Q", record.body, 1)
             text = record.body[9:].decode("utf-8", "replace")
@@ -222,10 +232,12 @@ _BEAT = {
     "samples": "integer",
 }
 _SPEED = {"v_m_s": "number", "sigma_m_s": "number", "samples": "integer"}
+_POSITION = {"x_m": "number", "y_m": "number", "heading_rad": "number"}
 _IMU = {"gain_m_s": "number", "turn_rad": "number"}
 TOPICS = (
     Topic("/trial/beats", "tailbeat.Beat", _BEAT, _beats),
     Topic("/trial/speed", "tailbeat.Speed", _SPEED, _slots(*_SPEED)),
+    Topic("/trial/position", "tailbeat.Position", _POSITION, _positions),
     Topic("/trial/imu", "tailbeat.ImuSlot", _IMU, _slots(*_IMU)),
     Topic("/trial/battery", "tailbeat.Battery", {"voltage_v": "number"}, _battery),
     Topic("/trial/parameters", "tailbeat.Parameters", {}, _parameters),

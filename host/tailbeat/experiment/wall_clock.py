@@ -47,8 +47,13 @@ class TrialStart:
 
     @property
     def known(self) -> bool:
-        """Whether a host's clock says it."""
-        return self.source == BY_HOST and self.shift_s == 0.0
+        """Whether a host's clock was read when the trial was asked for."""
+        return self.source == BY_HOST
+
+    @property
+    def host_ns(self) -> int:
+        """As ``utc_ns``, without the shift."""
+        return self.utc_ns - round(self.shift_s * _NS)
 
 
 def starts_of(experiment: Experiment, analysis: Analysis) -> list[TrialStart]:

@@ -75,7 +75,7 @@ def metadata(path: Path) -> dict[str, dict[str, str]]:
 def test_a_reader_opens_the_whole_experiment(recorded: Experiment, tmp_path: Path) -> None:
     (path,) = export(recorded, ["mcap"], tmp_path)
     found = read(path)
-    assert set(found) == {topic.name for topic in TOPICS}
+    assert set(found) == {topic.name for topic in TOPICS} - {"/trial/position"}
     beats = [values for _, values in found["/trial/beats"]]
     assert [(one["trial"], one["beat"]) for one in beats] == [
         (trial, beat) for trial in range(1, 7) for beat in range(BEATS)
@@ -91,6 +91,13 @@ def test_a_reader_opens_the_whole_experiment(recorded: Experiment, tmp_path: Pat
     assert found["/trial/parameters"][0][1]["AMP_MAX_RAD"] == pytest.approx(0.785)
     lines = [values["message"] for _, values in found["/trial/log"]]
     assert "trial 3 ends: complete, decision: discard (bumped the wall)" in lines
+
+
+def test_positions_of_a_camera(copy: Experiment, tmp_path: Path) -> None:
+    rows = "t_s,x_m,y_m,heading_rad\n0.04,0.1,0.01,0.0\n0.08,0.12,0.01,0.1\n"
+    copy.add_raw("0002_positions.csv", rows.encode())
+    found = read(export(copy, ["mcap"], tmp_path)[0])["/trial/position"]
+    assert [(v["trial"], v["t_s"], v["x_m"]) for _, v in found] == [(2, 0.04, 0.1), (2, 0.08, 0.12)]
 
 
 def test_units_metadata_and_attachments(recorded: Experiment, tmp_path: Path) -> None:
