@@ -7,6 +7,7 @@ import json
 import shutil
 import threading
 import time
+import tracemalloc
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -27,7 +28,7 @@ from tailbeat.experiment.analysis import analyse
 from tailbeat.experiment.current import make
 from tailbeat.experiment.export import export
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.mcap_file import TOPICS
+from tailbeat.experiment.mcap_file import TOPICS, write_mcap
 from tailbeat.experiment.wall_clock import BY_HOST, UNKNOWN, WHEN_STORED, starts_of
 from tailbeat.sensors.camera.source.film import FilmWriter
 from tailbeat.session.log import SessionLog
@@ -261,6 +262,26 @@ def test_a_film_is_a_video_topic(copy: Experiment, tmp_path: Path) -> None:
         assert np.abs(picture.astype(float) - image(at)).mean() < 6
     told = metadata(tmp_path / "experiment.mcap")["film day.mp4"]
     assert told == {"topic": "/film/day", "trial": "2", "time_source": mcap_film.SYNCHRONISED}
+
+
+def test_memory_does_not_grow_with_a_film(
+    copy: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    film(copy.folder / "long.mp4")
+    noise = np.random.default_rng(1).bytes(500_000)
+
+    def many(_: object) -> Iterator[tuple[int, dict[str, str]]]:
+        for at in range(100):
+            yield at * 40_000_000, {"format": "h264", "data": base64.b64encode(noise).decode()}
+
+    monkeypatch.setattr("tailbeat.experiment.mcap_file.pictures", many)
+    found = analyse(copy)
+    tracemalloc.start()
+    write_mcap(copy, found, tmp_path / "long.mcap")
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert (tmp_path / "long.mcap").stat().st_size > 20e6
+    assert peak_bytes < 12e6
 
 
 @pytest.mark.parametrize(("codec", "options"), [("mpeg4", {}), ("libx264", {"bf": "2"})])
