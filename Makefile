@@ -15,7 +15,7 @@ PACKAGE_SOURCES := $(shell find host firmware/ hal wire tools/vboard CMakeLists.
 	-not -name '*.pyc' -not -path '*/.*_cache*')
 C_SOURCES = $(shell find firmware hal bench tests/unit tests/fuzz tests/image host/native tools/vboard/native \
 	-name '*.[ch]' 2>/dev/null)
-PYTHON_SOURCES := $(wildcard docs/*.py) host tests tools wire $(wildcard bench)
+PYTHON_SOURCES := $(wildcard docs/*.py docs/diagrams/*.py) host tests tools wire $(wildcard bench examples)
 
 # Runs all that it is given, whatever fails, and sums up.
 RUN_ALL := $(BIN)/python tools/run_all.py

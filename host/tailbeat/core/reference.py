@@ -6,14 +6,13 @@ the curve over beat k, computed in float64 and rounded once to float32.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tailbeat.core.csv import read_rows, read_table, value_of
+from tailbeat.core.csv import read_rows, read_table, table_text, value_of
 from tailbeat.core.errors import InputError, did_you_mean
 from tailbeat.core.files import replacing_text
 from tailbeat.core.lazy_arrays import F32, F64, NDArray, np
@@ -143,10 +142,15 @@ class Reference:
             The file cannot be written.
         """
         with replacing_text(path) as file:
-            out = csv.writer(file, lineterminator="\n")
-            out.writerow(["beat", "t_s", "v_m_s"])
-            for beat, speed in enumerate(self.speed_m_s):
-                out.writerow([beat, repr((beat + 0.5) * self.beat_s), repr(float(speed))])
+            file.write(self.csv_text())
+
+    def csv_text(self) -> str:
+        """The content of the file that ``to_csv`` writes."""
+        rows = (
+            (beat, repr((beat + 0.5) * self.beat_s), repr(float(speed)))
+            for beat, speed in enumerate(self.speed_m_s)
+        )
+        return table_text(("beat", "t_s", "v_m_s"), rows)
 
 
 def _value_problems(speed: F32, limit: float) -> list[ReferenceProblem]:

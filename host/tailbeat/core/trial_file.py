@@ -20,17 +20,11 @@ from tailbeat.core.faults import fault_info
 from tailbeat.core.files import replacing_text
 from tailbeat.core.param_names import with_current_names
 from tailbeat.core.reference import BEATS_MAX
+from tailbeat.core.ulog import HEADER_BYTES, RECORD_TYPES, SIZES
 
-_HEADER_BYTES = 16
-_RECORD_TYPES = b"FIMPQARDSOLCB"
 # A board's formats are flat lists of numbers and it subscribes to each once. What is beyond that
 # pyulog would unfold: a format of formats, of some bytes in the file, to more than memory holds.
-_FIELD_TYPES = frozenset(f"{sign}int{bits}_t" for sign in ("", "u") for bits in (8, 16, 32, 64)) | {
-    "float",
-    "double",
-    "bool",
-    "char",
-}
+_FIELD_TYPES = frozenset(SIZES)
 _FORMAT_BYTES_MAX = 1024
 _SUBSCRIPTIONS_MAX = 64
 SLOT_S = 0.1
@@ -279,7 +273,7 @@ def _parsed(raw: bytes, name: str) -> Trial:
 def _sound_part(raw: bytes) -> tuple[bytes, list[str]]:
     """The file up to the first record that is none, and what is wrong there. (Left to itself pyulog
     may search a damaged file for ever.)"""
-    at = _HEADER_BYTES
+    at = HEADER_BYTES
     subscriptions = 0
     while at + 3 <= len(raw):
         size = int.from_bytes(raw[at : at + 2], "little")
@@ -288,7 +282,7 @@ def _sound_part(raw: bytes) -> tuple[bytes, list[str]]:
         bomb = subscriptions > _SUBSCRIPTIONS_MAX or (
             kind == b"F" and not _is_flat(raw[at + 3 : at + 3 + size])
         )
-        if size == 0 or kind not in _RECORD_TYPES or bomb:
+        if size == 0 or kind not in RECORD_TYPES or bomb:
             return raw[:at], ["the file is damaged; what comes after the damage is left out"]
         if at + 3 + size > len(raw):
             break

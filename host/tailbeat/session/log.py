@@ -5,6 +5,7 @@ how the battery fell, and whether the board was switched off.
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
@@ -130,7 +131,8 @@ class SessionLog:
         law: str = "",
     ) -> None:
         """Before the countdown: whatever happens from now on, this trial is asked for. ``board_s``:
-        now, by the board's clock. ``law``: of its input, as of ``InputChosen``."""
+        now, by the board's clock; the entry's ``utc_s`` is the same moment by this computer's.
+        ``law``: of its input, as of ``InputChosen``."""
         self.journal.add(
             "begun",
             trial=trial,
@@ -138,6 +140,7 @@ class SessionLog:
             **_found(ready),
             battery_start_v=battery_v,
             board_s=board_s,
+            utc_s=round(time.time(), 3),
             law=law,
         )
 

@@ -112,6 +112,7 @@ def test_commands_run_without_the_extras(blocked: str, tmp_path: Path) -> None:
         "sim demo --law p --trials 1 --out series",
         "report series --paper",
         "experiment export series --format parquet",
+        "experiment export series --mcap",
         "sim montecarlo --list",
         "sim montecarlo designed-law",
         "session web",
@@ -124,14 +125,15 @@ def test_commands_run_without_the_extras(blocked: str, tmp_path: Path) -> None:
         "# sim 0",
         "# report 0",
         "# experiment 1",
+        "# experiment 1",
         "# sim 0",
         "# sim 1",
         "# session 1",
         "# camera 1",
     ]
     lines = done.stderr.splitlines()
-    assert len(lines) == 5, done.stderr
-    for line, extra in zip(lines, ("export", "export", "export", "web", "camera"), strict=True):
+    assert len(lines) == 6, done.stderr
+    for line, extra in zip(lines, (*["export"] * 4, "web", "camera"), strict=True):
         assert line.startswith("tailbeat: ")
         assert line.endswith(f"tools/bootstrap {extra}")
     tables = {path.suffix for path in (tmp_path / "series" / "report" / "tables").iterdir()}

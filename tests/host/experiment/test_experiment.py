@@ -136,6 +136,35 @@ def test_exports_agree(recorded: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.array(wanted, np.float32), reference.thesis().speed_m_s)
 
 
+MATLAB_KEYWORDS = frozenset(
+    ["break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function",
+     "global", "if", "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try",
+     "while"]
+)  # fmt: skip
+
+
+def test_matlab_names_and_units(recorded: Path, tmp_path: Path) -> None:
+    (path,) = export(Experiment.open(recorded), ["mat"], tmp_path)
+    content = {k: v for k, v in loadmat(path).items() if not k.startswith("__")}
+    assert not MATLAB_KEYWORDS & set(content)
+    assert [str(cell[0]) for cell in content["trial_end"][:, 0]] == ["complete", "complete"]
+    units = content.pop("units")
+    named = {name: str(units[name][0, 0][0]) for name in units.dtype.names}
+    assert set(named) < set(content)
+    assert named["speed_m_s"] == "m/s" and named["amplitude_rad"] == "rad"
+    assert {len(array) for array in content.values()} == {2}  # one row per trial, of all
+
+
+def test_parquet_has_units_in_its_schema(recorded: Path, tmp_path: Path) -> None:
+    files = export(Experiment.open(recorded), ["parquet"], tmp_path)
+    for path in files:
+        for field in pq.read_schema(path):
+            unit = (field.metadata or {}).get(b"unit", b"").decode()
+            assert bool(unit) == field.name.endswith(("_m", "_s", "_rad", "_v")), field.name
+    beats = pq.read_schema(tmp_path / "beats.parquet")
+    assert beats.field("speed_m_s").metadata == {b"unit": b"m/s"}
+
+
 def test_damaged_settings_are_told(tmp_path: Path) -> None:
     experiment = Experiment.at(tmp_path / "e", "carangi", "thesis", "p4")
     for text in ("{", "[]"):

@@ -26,9 +26,10 @@ from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.analysis import analyse
 from tailbeat.experiment.current import current, strayed
-from tailbeat.experiment.export import export
+from tailbeat.experiment.export import FORMATS, export
 from tailbeat.experiment.folder import Experiment, held_state
 from tailbeat.experiment.library import FOLDER_VARIABLE, TrialLibrary
+from tailbeat.experiment.wall_clock import BY_HOST, starts_of
 from tailbeat.learning.identification import Identified, read_steady_speeds
 from tailbeat.link.keystore import KeyStore, decode_key
 from tailbeat.report.paper import draw_all
@@ -247,6 +248,14 @@ def test_the_export_has_the_same_numbers(tmp_path: Path) -> None:
             assert not missing(
                 [renamed(row[column]) for row in rows[0]], [row[there] for row in rows[1]], name
             )
+
+
+def test_an_old_experiment_is_exported_in_every_format(tmp_path: Path) -> None:
+    files = export(series("a"), list(FORMATS), tmp_path)
+    assert {path.suffix for path in files} == {".csv", ".mat", ".parquet", ".mcap", ".ulg"}
+    logs = [path for path in files if path.suffix == ".ulg"]
+    assert [read_trial(path).problems for path in logs] == [[]] * len(logs)
+    assert {start.source for start in starts_of(series("a"), analyse(series("a")))} == {BY_HOST}
 
 
 def table(path: Path) -> tuple[list[str], list[list[str]]]:

@@ -103,7 +103,7 @@ COMMANDS = {
     ),
     "experiment compare": Entry("Compare two experiments"),
     "experiment replay": Entry("Compute everything again, compare the bits"),
-    "experiment export": Entry("Write CSV, MATLAB and Parquet files"),
+    "experiment export": Entry("Write CSV, MATLAB, Parquet, MCAP or ULog"),
     "report": Entry("Write a page, figures and tables of an experiment", ANALYSE, module="report"),
     "params get": Entry("Print one parameter"),
     "params set": Entry("Change one parameter", settings=_NEGATIVE_VALUES),

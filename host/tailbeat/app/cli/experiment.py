@@ -19,8 +19,8 @@ from tailbeat.experiment.compare import Comparison, other_differences
 from tailbeat.experiment.compare import compare as compare_sides
 from tailbeat.experiment.current import made_before, make, own_reference, require_same
 from tailbeat.experiment.current import use as make_current
+from tailbeat.experiment.export import FORMATS, missing_formats
 from tailbeat.experiment.export import export as export_files
-from tailbeat.experiment.export import missing_formats
 from tailbeat.experiment.folder import Experiment, list_experiments
 from tailbeat.experiment.library import library_of
 from tailbeat.experiment.redo import redo_text, write_redo
@@ -33,6 +33,8 @@ FolderOrCurrent = Annotated[
     Experiment | None,
     arg("Default: the one the connected fish is in.", "FOLDER", by=Experiment.open),
 ]
+
+_FORMATS = "|".join(FORMATS)
 
 
 @dataclass(frozen=True)
@@ -314,14 +316,16 @@ def _replay_text(found: Replay) -> str:
 def export(
     experiment: Folder,
     formats: list[str] | None = opt(
-        "Default: all; repeatable.", "csv|mat|parquet", name="--format"
+        "Default: csv, mat and parquet; repeatable.", _FORMATS, name="--format"
     ),
+    mcap: bool = opt("As --format mcap: one file with all trials and films."),
 ) -> Output:
-    """Write the trials as CSV, MATLAB and Parquet files.
+    """Write the trials for other programs: tables, MCAP (Foxglove), annotated ULog (PlotJuggler).
 
-    Example: tailbeat experiment export FOLDER --format csv
+    Example: tailbeat experiment export FOLDER --mcap
     """
-    files = export_files(experiment, formats or [])
+    formats = list(dict.fromkeys([*(formats or []), *(["mcap"] if mcap else [])]))
+    files = export_files(experiment, formats)
     if not formats and (line := missing_formats()):
         warn(line)
     warn_of_problems(experiment)

@@ -297,6 +297,16 @@ def test_exports_hold_what_was_decided(copy: Experiment) -> None:
     assert b"simulated" in (copy.folder / "export" / "trials.mat").read_bytes()[:116]
 
 
+def test_mcap_by_its_own_option(copy: Experiment) -> None:
+    names = [Path(path).name for path in document("export", copy.folder, "--mcap")["files"]]
+    assert names == ["experiment.mcap"]
+    both = document("export", copy.folder, "--format", "csv", "--format", "mcap", "--mcap")
+    assert len(both["files"]) == 4
+    assert copy.raw_problems() == []
+    result = call("export", copy.folder, "--format", "xls")
+    assert result.exit_code == 1 and "csv, mat, parquet, mcap, ulog" in str(result.exception)
+
+
 def test_the_current_experiment_is_the_fishs(tmp_path: Path) -> None:
     with Fish.connect("sim?seed=1") as fish:
         assert current(fish) is None
