@@ -116,7 +116,8 @@ class Canvas:
         """The file."""
         heads = "".join(
             f"<marker id='{name}' viewBox='0 0 10 10' refX='9' refY='5' markerWidth='7'"
-            f" markerHeight='7' orient='auto-start-reverse'><path d='M0,0 L10,5 L0,10 z' fill='{colour}'/></marker>"
+            f" markerHeight='7' orient='auto-start-reverse'>"
+            f"<path d='M0,0 L10,5 L0,10 z' fill='{colour}'/></marker>"
             for name, colour in (("ink", INK), ("accent", ACCENT))
         )
         return (
