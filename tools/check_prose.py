@@ -49,7 +49,6 @@ class Table:
 
     words_max: int
     spelled_right: tuple[str, ...]
-    not_yet: tuple[str, ...]  # files whose findings do not count
     words: tuple[Word, ...]
 
     @classmethod
@@ -57,8 +56,7 @@ class Table:
         """Raises KeyError or TypeError when a field is missing or unknown."""
         content = tomllib.loads(path.read_text(encoding="utf-8"))
         words = tuple(Word(**{**one, **_tuples(one)}) for one in content["word"])
-        right, not_yet = tuple(content["spelled_right"]), tuple(content["not_yet"])
-        return cls(content["words_max"], right, not_yet, words)
+        return cls(content["words_max"], tuple(content["spelled_right"]), words)
 
 
 def _tuples(fields: dict[str, Any]) -> dict[str, tuple[str, ...]]:
@@ -126,16 +124,11 @@ def main() -> None:
     default = Path(__file__).resolve().parent.parent
     parser.add_argument("root", type=Path, nargs="?", default=default)
     parser.add_argument("--table", type=Path, default=TABLE)
-    parser.add_argument("--all", action="store_true", help="also in files of not_yet")
     options = parser.parse_args()
     table = Table.read(options.table)
     found = findings(options.root.resolve(), table)
-    late = [] if options.all else [one for one in found if one.split(":")[0] in table.not_yet]
-    counted = [one for one in found if one not in late]
-    print("\n".join(counted) or "prose: all spelled and worded as agreed")
-    if late:
-        print(f"prose: {len(late)} more in files that are rewritten later; --all lists them")
-    sys.exit(bool(counted))
+    print("\n".join(found) or "prose: all spelled and worded as agreed")
+    sys.exit(bool(found))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -130,13 +129,3 @@ def test_a_right_context_passes(tree: Path, sentence: str) -> None:
     write(tree, "host/tailbeat/core/right.py", f'TEXT = "{sentence}"\n')
     done = check(tree)
     assert done.returncode == 0, done.stdout
-
-
-def test_a_file_of_not_yet_counts_only_with_all(tree: Path) -> None:
-    write(tree, "docs/how-to/trials.md", "# Every swim\n")
-    table = (ROOT / "tools" / "prose_words.toml").read_text(encoding="utf-8")
-    late = 'not_yet = ["docs/how-to/trials.md"]'
-    write(tree, "words.toml", re.sub(r"not_yet = \[[^]]*\]", late, table))
-    options = ["--table", str(tree / "words.toml")]
-    assert check(tree, *options).returncode == 0
-    assert check(tree, *options, "--all").returncode == 1
