@@ -6,6 +6,7 @@ colour marks what learns or protects. The same bytes at every run.
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +18,18 @@ INK, SOFT, ACCENT, FILL = "#222222", "#777777", "#0b6e99", "#f4f6f8"
 FONT = "font-family='Helvetica, Arial, sans-serif'"
 
 Point = tuple[float, float]
+
+
+def with_indices(words: str) -> str:
+    """``u_{j+1}`` with its index below the line; what follows stands on the line again."""
+    low = r"<tspan dy='3' font-size='75%'>\g<index></tspan><tspan dy='-3'>\g<after></tspan>"
+    pattern = re.compile(r"_(?:\{(?P<long>[^}]*)\}|(?P<short>\w+))(?P<after>[^_]*)")
+
+    def lowered(found: re.Match[str]) -> str:
+        index = found["long"] or found["short"]
+        return low.replace(r"\g<index>", index).replace(r"\g<after>", found["after"])
+
+    return pattern.sub(lowered, escape(words))
 
 
 @dataclass(frozen=True)
@@ -65,7 +78,7 @@ class Canvas:
         """One line, centred vertically about ``y``."""
         self.parts.append(
             f"<text x='{x:g}' y='{y + size * 0.35:g}' font-size='{size}' fill='{colour}'"
-            f" text-anchor='{anchor}' {FONT}>{escape(words)}</text>"
+            f" text-anchor='{anchor}' {FONT}>{with_indices(words)}</text>"
         )
 
     def box(
