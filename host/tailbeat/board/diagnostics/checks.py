@@ -43,7 +43,7 @@ _LITTLE_V = 0.2
 _RADIO_REMEDY = "Bring the antenna out of the water, and closer; check the cable and its ground."
 _BY_WIRE = "over USB serial: tailbeat board key set"
 _VERSION_REMEDY = (
-    "Flash the firmware that came with this tool: make firmware, then 'tailbeat board flash'."
+    "Flash the firmware that came with this tool: 'tailbeat board flash'."
     " Or install the tool that came with the firmware."
 )
 
