@@ -8,15 +8,21 @@ from __future__ import annotations
 
 import argparse
 import json
-import lzma
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+try:
+    import lzma
+except ImportError:
+    sys.exit("building the firmware needs a Python with the lzma module (liblzma)")
+
 TYPE_PARAMETER = 1  # COMP_METADATA_TYPE_PARAMETER
 _POLYNOMIAL = 0xEDB88320
-# The dictionary holds the whole text; pb 0 and no check save 24 bytes. Every reader knows them.
+# The dictionary holds the whole text; pb 0 and no check save 28 bytes. Every reader knows them:
+# liblzma (MAVSDK), libarchive and xz-embedded (QGroundControl). The image has a checksum of its own.
 _FILTERS = [
     {"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME, "pb": 0, "dict_size": 1 << 16}
 ]
@@ -35,13 +41,22 @@ def number(literal: str) -> float | int:
     return int(value) if value.is_integer() else value
 
 
-def parameters(table: Path) -> dict[str, Any]:
-    """The parameter metadata of a table of parameters."""
+def first_clause(text: str) -> str:
+    """The text up to its first semicolon, colon or bracket."""
+    return re.split(r"[;:(]", text)[0].strip()
+
+
+def parameters(table: Path, short: Path) -> dict[str, Any]:
+    """The parameter metadata of a table of parameters and of the table of their short texts."""
+    short_texts = dict(macro_rows(short, "SHORT"))
     rows = []
     for name, default, low, high, _, unit, text in macro_rows(table, "PARAM"):
-        row = {"name": name, "type": "Float", "shortDesc": text}
-        row |= {"units": unit} if unit else {}
+        # Keys in the order that packs best.
+        row = {"shortDesc": short_texts.pop(name, first_clause(text)), "name": name}
+        row |= {"type": "Float"} | ({"units": unit} if unit else {})
         rows.append(row | {"min": number(low), "max": number(high), "default": number(default)})
+    if short_texts:
+        sys.exit(f"{short}: no parameter is named {', '.join(short_texts)}")
     return {"version": 1, "parameters": rows}
 
 
@@ -73,7 +88,7 @@ def general(packed: bytes) -> bytes:
 def pack(document: dict[str, Any]) -> bytes:
     """The document as an xz file."""
     return lzma.compress(
-        dump(document), format=lzma.FORMAT_XZ, check=lzma.CHECK_CRC32, filters=_FILTERS
+        dump(document), format=lzma.FORMAT_XZ, check=lzma.CHECK_NONE, filters=_FILTERS
     )
 
 
@@ -94,9 +109,10 @@ def c_source(general_file: bytes, parameter_file: bytes) -> Iterator[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--table", type=Path, required=True, help="params.def")
+    parser.add_argument("--short", type=Path, required=True, help="short_texts.def")
     parser.add_argument("--source", type=Path, required=True, help="C source to write")
     options = parser.parse_args()
-    packed = pack(parameters(options.table))
+    packed = pack(parameters(options.table, options.short))
     text = "".join(c_source(general(packed), packed))
     options.source.write_text(text, encoding="ascii")
 

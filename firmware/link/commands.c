@@ -242,14 +242,14 @@ static void request_amplitudes(link_t *link, const link_received_t *in, const re
     link_send_amplitudes(link, in->channel, (uint8_t)set, (uint16_t)first);
 }
 
-static void request_modes(const link_received_t *in, const request_t *request) {
+static void request_modes(link_t *link, const link_received_t *in, const request_t *request) {
     uint32_t index = 0;
     if (!read_whole(request->param2, 0.0f, (float)STATE_COUNT, &index)) {
         answer_command(in, request->command, bad_values);
         return;
     }
     send_answer(in, request->command, accepted);
-    link_send_modes(in->channel, index);
+    link_request_modes(link, in->channel, index);
 }
 
 static void request_message(link_t *link, const link_received_t *in, const request_t *request) {
@@ -263,7 +263,7 @@ static void request_message(link_t *link, const link_received_t *in, const reque
         return;
     }
     if (message == MAVLINK_MSG_ID_AVAILABLE_MODES) {
-        request_modes(in, request);
+        request_modes(link, in, request);
         return;
     }
     const link_send_t send = find_sender(message);

@@ -30,11 +30,22 @@ static void send_mode(channel_t *channel, uint32_t mode) {
     LINK_SEND(channel, AVAILABLE_MODES, &fields);
 }
 
-void link_send_modes(channel_t *channel, uint32_t index) {
-    const uint32_t first = index == 0 ? 0 : index - 1u;
-    const uint32_t end = index == 0 ? STATE_COUNT : index;
-    for (uint32_t mode = first; mode < end; mode++) {
-        send_mode(channel, mode);
+void link_request_modes(link_t *link, channel_t *channel, uint32_t index) {
+    if (index == 0) {
+        link->mode_stream_next[channel->port] = 0;
+    } else {
+        send_mode(channel, index - 1u);
+    }
+}
+
+/* As the line has room: a station that asked for all waits for the last one without a time-out. */
+void link_stream_modes(link_t *link) {
+    const size_t needed = LINK_FRAME_BYTES + MAVLINK_MSG_ID_AVAILABLE_MODES_LEN;
+    for (uint32_t i = 0; i < LINK_PORTS; i++) {
+        uint8_t *next = &link->mode_stream_next[i];
+        while (*next < STATE_COUNT && channel_has_space(&link->channel[i], needed)) {
+            send_mode(&link->channel[i], (*next)++);
+        }
     }
 }
 

@@ -21,6 +21,7 @@ void link_init(link_t *link, hal_t *hal, store_t *store, params_t *params,
         channel_init(&link->channel[i], hal, (hal_port_t)i);
         channel_sign(&link->channel[i], &link->signing);
         link->param_stream_next[i] = PARAM_COUNT;
+        link->mode_stream_next[i] = STATE_COUNT;
     }
 }
 
@@ -206,5 +207,6 @@ void link_poll(link_t *link, const link_status_t *status) {
     set_ftp_conditions(link);
     link_telemetry(link);
     link_stream_params(link);
+    link_stream_modes(link);
     stream_burst(link);
 }

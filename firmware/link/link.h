@@ -181,6 +181,7 @@ typedef struct {
     uint64_t next_refusal_us; /* when the next one is told as text */
     uint32_t status_digest;
     uint16_t param_stream_next[LINK_PORTS]; /* of a PARAM_REQUEST_LIST; PARAM_COUNT = none */
+    uint8_t mode_stream_next[LINK_PORTS];   /* of all AVAILABLE_MODES; STATE_COUNT = none */
 } link_t;
 
 void link_init(link_t *link, hal_t *hal, store_t *store, params_t *params,

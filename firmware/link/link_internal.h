@@ -56,13 +56,15 @@ fault_t link_refusal(link_t *link, const link_received_t *in);
 void link_on_setup_signing(link_t *link, const link_received_t *in);
 
 /* discovery.c: what ground stations ask when they connect. Modes are counted from 1,
- * STATE_COUNT at most; 0 = all of them. */
+ * STATE_COUNT at most; 0 = all of them, which link_stream_modes() sends. */
 void link_send_component_metadata(link_t *link, channel_t *channel);
-void link_send_modes(channel_t *channel, uint32_t index);
+void link_request_modes(link_t *link, channel_t *channel, uint32_t index);
+void link_stream_modes(link_t *link);
 void link_on_mission_request_list(link_t *link, const link_received_t *in);
 
 /* telemetry.c: what is due. link_set_interval() is MAV_CMD_SET_MESSAGE_INTERVAL for a message that
- * is sent regularly, on one port: -1 = not at all, 0 = as usual. */
+ * is sent regularly, on one port: -1 = not at all, 0 = as usual. It
+ * lasts until no host is heard there any more. */
 void link_telemetry(link_t *link);
 bool link_has_interval(uint32_t message);
 bool link_set_interval(link_t *link, hal_port_t port, uint32_t message, float interval_us);

@@ -72,11 +72,8 @@ bool link_set_interval(link_t *link, hal_port_t port, uint32_t message, float in
     return true;
 }
 
-/* 0 = not sent; the attitude of an IMU that never sent is no news. */
+/* 0 = not sent. */
 static uint64_t usual_interval_us(const link_t *link, uint32_t index) {
-    if (paced[index].send == link_send_attitude && link->status->imu->counters.frames == 0) {
-        return 0;
-    }
     if (paced[index].send != link_send_live) {
         return SECOND_US;
     }
@@ -84,17 +81,27 @@ static uint64_t usual_interval_us(const link_t *link, uint32_t index) {
     return rate_hz > 0 ? SECOND_US / (uint32_t)rate_hz : 0;
 }
 
+/* Without an IMU there is no attitude. */
+static bool has_data(const link_t *link, uint32_t index) {
+    return paced[index].send != link_send_attitude || link->status->imu->counters.frames != 0;
+}
+
 static void send_paced(link_t *link, uint64_t now_us) {
     for (uint32_t port = 0; port < LINK_PORTS; port++) {
         channel_t *channel = &link->channel[port];
-        const bool listens = link_heard(link, channel) && !is_filled(link, channel);
+        const bool heard = link_heard(link, channel);
+        const bool listens = heard && !is_filled(link, channel);
         for (uint32_t i = 0; i < LINK_INTERVALS; i++) {
             link_interval_t *interval = &link->interval[port][i];
+            if (!heard) {
+                *interval = (link_interval_t){0}; /* the next host has chosen nothing yet */
+                continue;
+            }
             const uint64_t usual_us = usual_interval_us(link, i);
             const uint64_t period_us =
                 interval->interval_us != 0 ? interval->interval_us : usual_us;
             if (period_us != 0 && is_due(&interval->next_us, now_us, period_us) && listens &&
-                !interval->off) {
+                !interval->off && has_data(link, i)) {
                 paced[i].send(link, channel);
             }
         }

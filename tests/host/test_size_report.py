@@ -313,7 +313,7 @@ def test_sizes_and_parts(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("more", "stack_bytes", "says"),
     [
-        ("\n.section .rodata\n.zero 106496\n", 4096, "text and data: "),
+        ("\n.section .rodata\n.zero 105472\n", 4096, "text and data: "),
         ("\n.bss\n.zero 65500\n", 4096, "variables and worst stack: "),
         ("", 100, "worst stack: 108 bytes, 8 more than the linker script reserves (100)"),
     ],

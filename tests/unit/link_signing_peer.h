@@ -112,6 +112,14 @@ static void say_param_read(void) {
     exchange(&message);
 }
 
+static void say_mission_list(void) {
+    mavlink_message_t message;
+    const mavlink_mission_request_list_t fields = {.target_system = 1, .target_component = 1};
+    mavlink_msg_mission_request_list_encode_status(PEER_SYSTEM, PEER_COMPONENT, &peer_tx, &message,
+                                                   &fields);
+    exchange(&message);
+}
+
 static void say_setup(const uint8_t *new_key, uint64_t time) {
     mavlink_message_t message;
     mavlink_msg_setup_signing_pack_status(PEER_SYSTEM, PEER_COMPONENT, &peer_tx, &message, 1, 1,

@@ -35,6 +35,20 @@ static void test_all_modes_at_once(void) {
     TEST_ASSERT_EQUAL(STATE_COUNT, peer_count(MAVLINK_MSG_ID_AVAILABLE_MODES));
 }
 
+/* QGroundControl waits for the last mode without a time-out. */
+static void test_all_modes_come_through_a_line_that_is_nearly_full(void) {
+    uint32_t modes = 0;
+    hal.tx_limit = 150; /* the answer and one mode */
+    ask_for(MAVLINK_MSG_ID_AVAILABLE_MODES, 0);
+    for (uint32_t i = 0; i < 3 * STATE_COUNT; i++) {
+        modes += peer_count(MAVLINK_MSG_ID_AVAILABLE_MODES);
+        poll();
+        peer_collect(HAL_PORT_RADIO);
+    }
+    TEST_ASSERT_EQUAL(STATE_COUNT, modes);
+    TEST_ASSERT_EQUAL(0, board.channel[0].dropped);
+}
+
 static void test_there_are_no_more_modes(void) {
     ask_for(MAVLINK_MSG_ID_AVAILABLE_MODES, STATE_COUNT + 1);
     expect_answer(MAV_CMD_REQUEST_MESSAGE, MAV_RESULT_DENIED, FAULT_BAD_DATA);
@@ -124,6 +138,20 @@ static void test_rates_of_a_hosts_choice(void) {
     }
 }
 
+static void test_a_rate_ends_with_the_host_that_chose_it(void) {
+    set_interval(MAVLINK_MSG_ID_TAILBEAT_LIVE, -1.0f);
+    TEST_ASSERT_EQUAL(0, sent_in_ten_seconds(MAVLINK_MSG_ID_TAILBEAT_LIVE));
+    poll_at(hal.now_us + LINK_HEARD_US);
+    drain();
+    TEST_ASSERT_EQUAL(50, sent_in_ten_seconds(MAVLINK_MSG_ID_TAILBEAT_LIVE));
+}
+
+static void test_without_an_imu_there_is_no_attitude(void) {
+    set_interval(MAVLINK_MSG_ID_ATTITUDE, 100000.0f);
+    expect_answer(MAV_CMD_SET_MESSAGE_INTERVAL, MAV_RESULT_ACCEPTED, FAULT_NONE);
+    TEST_ASSERT_EQUAL(0, sent_in_ten_seconds(MAVLINK_MSG_ID_ATTITUDE));
+}
+
 static void test_senseless_rates_are_refused(void) {
     static const float senseless[] = {-2.0f, 19999.0f, 1.1e7f, NAN};
     for (size_t i = 0; i < sizeof senseless / sizeof senseless[0]; i++) {
@@ -140,10 +168,13 @@ int main(void) {
     RUN_TEST(test_where_the_parameters_are_described);
     RUN_TEST(test_each_state_is_a_mode);
     RUN_TEST(test_all_modes_at_once);
+    RUN_TEST(test_all_modes_come_through_a_line_that_is_nearly_full);
     RUN_TEST(test_there_are_no_more_modes);
     RUN_TEST(test_missions_fence_and_rally_points_are_empty);
     RUN_TEST(test_system_status_tells_battery_and_imu);
     RUN_TEST(test_rates_of_a_hosts_choice);
+    RUN_TEST(test_a_rate_ends_with_the_host_that_chose_it);
+    RUN_TEST(test_without_an_imu_there_is_no_attitude);
     RUN_TEST(test_senseless_rates_are_refused);
     return UNITY_END();
 }

@@ -139,6 +139,8 @@ static void check_reading(sender_t kind) {
     TEST_ASSERT_EQUAL(answered, peer_count(MAVLINK_MSG_ID_TIMESYNC) == 1);
     say_param_read();
     TEST_ASSERT_EQUAL(answered, peer_count(MAVLINK_MSG_ID_PARAM_VALUE) == 1);
+    say_mission_list();
+    TEST_ASSERT_EQUAL(answered, peer_count(MAVLINK_MSG_ID_MISSION_COUNT) == 1);
     if (kind == OLD_PROTOCOL) {
         return; /* MAVLink 1 carries no message with extensions cut off; FTP is the same there */
     }
@@ -147,6 +149,8 @@ static void check_reading(sender_t kind) {
     TEST_ASSERT_EQUAL(good, say_ftp(FTP_OP_CRC32, "/reference.bin", &error));
     TEST_ASSERT_EQUAL(good, say_ftp(FTP_OP_OPEN_RO, "/reference.bin", &error));
     TEST_ASSERT_EQUAL(good, say_ftp(FTP_OP_TERMINATE, "", &error));
+    TEST_ASSERT_EQUAL(good, say_ftp(FTP_OP_OPEN_RO, "/parameter.json.xz", &error));
+    TEST_ASSERT_EQUAL(good, say_ftp(FTP_OP_RESET, "", &error));
     TEST_ASSERT_EQUAL(0, board.signing.counters.unsigned_);
     TEST_ASSERT_EQUAL(0, say_ftp(FTP_OP_ACK, "", &error)); /* an answer gets none */
 }

@@ -24,6 +24,8 @@ _LIST = (ROOT / "wire" / "generate.py").read_text().partition("KNOWN = ")[2].par
 KNOWN = set(re.findall(r"\"(\w+)\"", _LIST))
 
 
+# MAVLink's own messages that the dialect repeats: id, name and CRC extra, as mavlink.io has them.
+BORROWED = {397: ("COMPONENT_METADATA", 182), 435: ("AVAILABLE_MODES", 134)}
 READERS = mavlink.MAVLink.decode, decode  # the generated one, and ours, which packs, too
 
 
@@ -36,6 +38,10 @@ def shipped_dialects() -> list[Path]:
 def messages(path: Path) -> dict[int, str]:
     nodes = ElementTree.parse(path).iter("message")
     return {int(node.attrib["id"]): node.attrib["name"] for node in nodes}
+
+
+def own_messages() -> dict[int, str]:
+    return {number: name for number, name in messages(OURS).items() if number not in BORROWED}
 
 
 def commands(path: Path) -> dict[int, str]:
@@ -53,7 +59,7 @@ def enums(path: Path) -> set[str]:
 
 
 def test_there_is_something_to_compare() -> None:
-    assert len(messages(OURS)) >= 4
+    assert len(own_messages()) >= 4
     assert len(commands(OURS)) >= 5
     assert {path.stem for path in shipped_dialects()} >= {"common", "ardupilotmega", "ASLUAV"}
     assert sum(len(messages(path)) for path in shipped_dialects()) > 300
@@ -62,11 +68,21 @@ def test_there_is_something_to_compare() -> None:
 
 @pytest.mark.parametrize("path", shipped_dialects(), ids=lambda path: path.stem)
 def test_no_collision(path: Path) -> None:
-    assert not messages(OURS).keys() & messages(path).keys()
-    assert not set(messages(OURS).values()) & set(messages(path).values())
+    assert not own_messages().keys() & messages(path).keys()
+    assert not set(own_messages().values()) & set(messages(path).values())
+    for number, (name, _) in BORROWED.items():
+        assert messages(path).get(number, name) == name
     assert not commands(OURS).keys() & commands(path).keys()
     assert not set(commands(OURS).values()) & set(commands(path).values())
     assert not enums(OURS) & enums(path)
+
+
+@pytest.mark.parametrize("number", BORROWED)
+def test_borrowed_messages_are_those_of_mavlink(number: int) -> None:
+    """Other programs check the frame with the CRC extra, which depends on all names and types."""
+    assert (mavlink.mavlink_map[number].msgname, mavlink.mavlink_map[number].crc_extra) == (
+        BORROWED[number]
+    )
 
 
 def test_message_ids_need_mavlink_2() -> None:
@@ -75,7 +91,7 @@ def test_message_ids_need_mavlink_2() -> None:
 
 
 def test_names_say_whose_they_are() -> None:
-    for name in (*messages(OURS).values(), *commands(OURS).values(), *enums(OURS)):
+    for name in (*own_messages().values(), *commands(OURS).values(), *enums(OURS)):
         assert name.startswith("TAILBEAT_"), name
 
 
@@ -138,7 +154,9 @@ def test_frames_are_those_of_pymavlink(key: bytes | None) -> None:
     reads ours."""
     rng = random.Random(19)
     numbers = sorted(common.mavlink_map.keys() & mavlink.mavlink_map.keys())
-    assert {common.mavlink_map[number].msgname.lower() for number in numbers} == KNOWN
+    assert {common.mavlink_map[number].msgname.lower() for number in numbers} == KNOWN - {
+        name.lower() for name, _ in BORROWED.values()
+    }
     values = {}
     for number in numbers:
         kind = common.mavlink_map[number]

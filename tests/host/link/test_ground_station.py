@@ -1,6 +1,6 @@
 """A ground station connects: QGroundControl's requests in its order and with its time-outs
 (data/qgc_connect.jsonl, by its InitialConnectStateMachine, StandardModes, FTPManager and
-PlanManager), against the simulated board on a line of 115 200 baud, in virtual time."""
+PlanManager; releases differ in two steps, here are both), against the simulated board on a line of 115 200 baud, in virtual time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ STEPS = [
 ]
 LINE_BYTES_PER_S = 11520.0
 WITHIN_S = 3.0
-OPEN_RO, BURST, TERMINATE, ACK, NAK = 4, 15, 1, 128, 129
+OPEN_RO, BURST, RESET, ACK, NAK, EOF = 4, 15, 2, 128, 129, 6
+BLOCK_BYTES = 239
 
 
 class Station:
@@ -34,7 +35,7 @@ class Station:
         self.mav = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
         self.mav.robust_parsing = True
         self.waited_s: list[float] = []
-        self._sequence = 0
+        self._expected = 0  # number of the next FTP reply
         self._held: list[Any] = []
 
     def send(self, name: str, fields: dict[str, Any]) -> None:
@@ -69,34 +70,43 @@ class Station:
             if "all" not in wanted or len(seen) == getattr(message, wanted["all"]):
                 return
 
-    def ftp(self, opcode: int, session: int, offset: int, data: bytes) -> None:
-        """One request."""
-        self._sequence += 1
-        head = struct.pack("<HBBBBBxI", self._sequence, session, opcode, len(data), 0, 0, offset)
+    def ftp(self, opcode: int, offset: int = 0, data: bytes = b"", size: int = 0) -> None:
+        """One request of session 0."""
+        self._expected = (self._expected + 2) & 0xFFFF
+        head = struct.pack(
+            "<HBBBBBxI", self._expected - 1, 0, opcode, size or len(data), 0, 0, offset
+        )
         payload = list((head + data).ljust(251, b"\0"))
         self.send("FILE_TRANSFER_PROTOCOL", {"target_network": 0, "payload": payload})
 
-    def reply(self, timeout_s: float) -> tuple[int, bytes, bool]:
-        """Opcode, data and whether a burst is complete."""
+    def reply(self, timeout_s: float) -> tuple[int, int, bytes, bool]:
+        """Number, opcode, data and whether a burst is complete."""
         for message in self.messages(timeout_s):
             if message.get_type() == "FILE_TRANSFER_PROTOCOL":
                 payload = bytes(message.payload)
-                return payload[3], payload[12 : 12 + payload[4]], payload[6] == 1
+                number = int.from_bytes(payload[:2], "little")
+                return number, payload[3], payload[12 : 12 + payload[4]], payload[6] == 1
         raise AssertionError
 
     def download(self, path: str, timeout_s: float) -> bytes:
-        """As a burst read."""
-        self.ftp(OPEN_RO, 0, 0, path.encode())
-        opcode, data, _ = self.reply(timeout_s)
-        assert opcode == ACK, path
-        size, content, complete = struct.unpack("<I", data)[0], b"", False
-        self.ftp(BURST, 0, 0, b"")
-        while not complete:
-            opcode, data, complete = self.reply(timeout_s)
-            assert opcode == ACK
+        """As QGroundControl's FTPManager does it: bursts until the end is refused, then a reset."""
+        self.ftp(OPEN_RO, data=path.encode())
+        number, opcode, data, _ = self.reply(timeout_s)
+        assert (number, opcode) == (self._expected, ACK), path
+        size, content = struct.unpack("<I", data)[0], b""
+        self.ftp(BURST, size=BLOCK_BYTES)
+        while True:
+            number, opcode, data, complete = self.reply(timeout_s)
+            assert number == self._expected
+            if opcode == NAK:
+                break
             content += data
-        self.ftp(TERMINATE, 0, 0, b"")
-        assert self.reply(timeout_s)[0] == ACK and len(content) == size
+            self._expected = number if complete else number + 1
+            if complete:
+                self.ftp(BURST, len(content), size=BLOCK_BYTES)
+        assert data[0] == EOF and len(content) == size
+        self.ftp(RESET)
+        assert self.reply(timeout_s)[:2] == (self._expected, ACK)
         return content
 
 
