@@ -20,7 +20,7 @@ from tailbeat.session.outcome import Decision
 from tailbeat.sim.world import Wires
 
 TRIALS = 3
-FILM_S, FILM_FPS, FILM_PX = 0.6, 25.0, (640, 360)
+FILM_S, FILM_FPS, FILM_PX, MARKER_M = 2.0, 25.0, (640, 360), 0.12
 IMU_S = 3.0
 
 
@@ -59,7 +59,7 @@ def film(path: Path) -> None:
     from tailbeat.sensors.camera.render.scene import Scene
     from tailbeat.sensors.camera.source.film import FilmWriter
 
-    painter = Painter(Scene(size_px=FILM_PX))
+    painter = Painter(Scene(size_px=FILM_PX, marker_side_m=MARKER_M, pixel_noise=0.5, ripples=0.2))
     with FilmWriter(path, FILM_PX, FILM_FPS) as writer:
         for picture in range(round(FILM_S * FILM_FPS)):
             t_s = picture / FILM_FPS

@@ -97,9 +97,9 @@ def test_the_fish_is_found_in_every_picture_of_the_film() -> None:
     from tailbeat.sensors.camera.source.film import Film
     from tailbeat.sensors.camera.tracking.track import track
 
-    calibration = Scene(size_px=(640, 360)).calibration()
-    found = track(Film(DATA / "film.mp4"), Marker("aruco", 7, 0.06), calibration)
-    assert found.seen().tolist() == [True] * 15
+    calibration = Scene(size_px=(640, 360), marker_side_m=0.12).calibration()
+    found = track(Film(DATA / "film.mp4"), Marker("aruco", 7, 0.12), calibration)
+    assert found.seen().tolist() == [True] * 50
 
 
 def test_the_ros_node_says_what_it_needs(tmp_path: Path) -> None:
