@@ -122,7 +122,7 @@ size: firmware ## bytes, biggest symbols, deepest stack; fails over the budgets
 	@tools/bootstrap size
 	@$(PYTHON) tools/size_report.py build/firmware/tailbeat.elf
 
-check: ## formatting, types, static analysis, who includes whom
+check: ## formatting, types, static analysis, who includes whom, words and spelling
 	@tools/bootstrap check
 	@$(MAKE) package
 	$(BIN)/ruff check --quiet $(PYTHON_SOURCES)
@@ -130,6 +130,7 @@ check: ## formatting, types, static analysis, who includes whom
 	@$(STEP) mypy $(BIN)/mypy
 	@$(STEP) clang-format $(BIN)/clang-format --dry-run -Werror $(C_SOURCES)
 	$(BIN)/python tools/check_includes.py
+	$(BIN)/python tools/check_prose.py
 	@PYTHONPATH=host $(STEP) "layers of the host package" $(BIN)/lint-imports --no-cache
 	@PYTHONPATH=host $(BIN)/python tools/check_architecture.py
 	@$(STEP) "static analysis" tools/check_c

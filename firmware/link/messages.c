@@ -108,7 +108,8 @@ void link_send_sys_status(link_t *link, channel_t *channel) {
         .onboard_control_sensors_enabled = sensors,
         .onboard_control_sensors_health =
             (link->status->imu->driver.problem == IMU_PROBLEM_NONE ? imu : 0) |
-            (battery->at_limit ? 0 : MAV_SYS_STATUS_SENSOR_BATTERY),
+            (battery->at_limit ? 0 : MAV_SYS_STATUS_SENSOR_BATTERY) |
+            MAV_SYS_STATUS_GEOFENCE, /* there is none: MAVProxy would report a breach of it */
         .voltage_battery = battery->at_limit ? UINT16_MAX : battery->mv,
         .current_battery = -1,
         .battery_remaining = -1,

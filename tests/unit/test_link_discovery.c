@@ -93,12 +93,13 @@ static void test_system_status_tells_battery_and_imu(void) {
     TEST_ASSERT_EQUAL(-1, system_status().battery_remaining);
     const uint32_t all = system_status().onboard_control_sensors_present;
     imu.driver.problem = IMU_PROBLEM_NONE;
-    TEST_ASSERT_EQUAL_HEX32(all, system_status().onboard_control_sensors_health);
+    TEST_ASSERT_EQUAL_HEX32(all, system_status().onboard_control_sensors_health & all);
     imu.driver.problem = IMU_PROBLEM_SILENT;
     TEST_ASSERT_EQUAL_HEX32(MAV_SYS_STATUS_SENSOR_BATTERY,
-                            system_status().onboard_control_sensors_health);
+                            system_status().onboard_control_sensors_health & all);
     status.battery.at_limit = true;
-    TEST_ASSERT_EQUAL_HEX32(0, system_status().onboard_control_sensors_health);
+    TEST_ASSERT_EQUAL_HEX32(MAV_SYS_STATUS_GEOFENCE,
+                            system_status().onboard_control_sensors_health);
     TEST_ASSERT_EQUAL(UINT16_MAX, system_status().voltage_battery);
 }
 

@@ -48,8 +48,8 @@ _VALUES = {
     "pin": ("PSWD", r"\+?(?:PSWD|PIN):\s*(.*)", "PIN"),
 }
 _AT_MODE = (
-    "Put it into AT mode: power off, hold its KEY (EN, or the button) high, power on; its LED then"
-    " blinks once in two seconds, quick blinking is data mode. Check ground, TX to RX and RX to TX."
+    "Put it into AT mode: power off, hold its KEY (EN, or the button) high, power on. Its LED then"
+    " blinks once in two seconds; quick blinking is data mode. Check ground, TX to RX and RX to TX."
 )
 
 

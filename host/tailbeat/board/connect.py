@@ -103,10 +103,10 @@ def find_board(listen_s: float = LISTEN_S) -> Transport:
     if garbled is not None:
         raise ConnectError(*garbled.words())
     if len(tried) == 1:
-        tried.insert(0, "no serial port is called like a radio or has a Due's USB ids")
+        tried.insert(0, "no serial port looks like a Bluetooth link or has a Due's USB ids")
     remedies.append(
-        "Switch the fish on, pair its radio, or say where it is: --connect; without a fish:"
-        " tailbeat sim"
+        "Switch the fish on, pair its Bluetooth module, or name its port with --connect."
+        " Without a fish: tailbeat sim"
     )
     raise ConnectError(f"no fish found: {', '.join(tried)}", " ".join(dict.fromkeys(remedies)))
 

@@ -126,13 +126,13 @@ def restore_interrupted(fish: Fish, copy: Path | None, note: Callable[[str], Non
     status = fish.status()
     if status.state == "RUNNING":
         raise InputError(
-            "the board executes a run of an identification or a trim.",
+            "the board executes a trial of an identification or a trim.",
             f"If nobody waits for it: tailbeat stop, then {RESTORE_COMMAND}",
         )
     stopped = f" (it was stopped: {status.fault.name})" if status.fault.number else ""
     note(
-        f"an identification or a trim was broken off{stopped}: the board gets back what it held "
-        f"before, of which a copy is in {copy}"
+        f"an identification or a trim was interrupted{stopped}. The board gets back what it held "
+        f"before, from the copy in {copy}"
     )
     _put_back(fish, left, copy)
     return True

@@ -28,7 +28,7 @@ _SHORT_LIVED = (b"sim-fish".hex(), b"tailbeat".hex())
 _COUNTERS = ("refused_unsigned", "refused_wrong", "refused_stale")
 
 NO_KEY = (
-    "no key: anyone in radio range can move this tail. Set one over the wired port:"
+    "no key: anyone in Bluetooth range can move this tail. Set one over USB serial:"
     " tailbeat board key set"
 )
 OPEN, HELD, MISSING = "open", "held", "missing"
@@ -108,8 +108,8 @@ def connect_notice(fish: Fish) -> str | None:
     lost = _lost_key(fish, board) if fish.link.signing.store else None
     if lost is not None:
         return (
-            f"this board does not sign, but this computer has its key {lost.fingerprint}: the key"
-            " was erased, or somebody pretends to be this board. Set it again over the wired port:"
+            f"this board does not sign, but this computer has its key {lost.fingerprint}. The key"
+            " was erased, or another device imitates this board. Set it again over USB serial:"
             " tailbeat board key set"
         )
     if in_process(fish.transport) is not None or board.startswith(_SHORT_LIVED):
@@ -121,10 +121,9 @@ def _missing_words(store: KeyStore) -> str:
     problems = store.load()[1]
     why = f" ({problems[0]})" if problems else ""
     return (
-        f"this board has a key that this computer has not{why}: it can be read, unchecked, and does"
-        " not obey. Bring the key: 'tailbeat board key export' where it was set, 'tailbeat board "
-        "key import'"
-        " here"
+        f"this board has a key that this computer does not have{why}. It can be read, unchecked,"
+        " and rejects commands. Bring the key: 'tailbeat board key export' where it was set,"
+        " 'tailbeat board key import' here"
     )
 
 

@@ -43,10 +43,9 @@ _VISITS_MAX = 255
 _BEATS_MAX = 512
 _REFUSALS = {
     1: (
-        "the law does not fit: a gain is not finite, a limit is not above 0, fade is below 0, "
-        "lead_beats is no multiple of 0.5, lead_beats or q_len is too long, or a mean has a kd.",
-        "The lead must be shorter than the trial and 2*q_len-1 must fit into it; "
-        "with ILC_KIND 1, ILC_KD is 0.",
+        "the law does not fit: a gain, a limit, fade, lead_beats, q_len or kd is out of range.",
+        "Gains are finite, limits above 0, fade is 0 or more. lead_beats is a multiple of 0.5 and "
+        "shorter than the trial, and 2*q_len-1 fits into it. With ILC_KIND 1, ILC_KD is 0.",
     ),
     2: ("an amplitude or a measured error is not finite.", "Check the values for gaps."),
     3: ("no beat has a measured speed.", "Upload the speeds of the trial, or swim it again."),
@@ -337,7 +336,8 @@ def update_counts(visits: ArrayLike | None, beats: int) -> list[int]:
     counts = np.zeros(beats, np.int64) if visits is None else np.asarray(visits, dtype=np.int64)
     if counts.shape != (beats,) or np.any((counts < 0) | (counts > _VISITS_MAX)):
         raise InputError(
-            "the visits are not one count per beat.", f"Give whole numbers from 0 to {_VISITS_MAX}."
+            "the update counts are not one per beat.",
+            f"Give whole numbers from 0 to {_VISITS_MAX}.",
         )
     return [int(count) for count in counts]
 

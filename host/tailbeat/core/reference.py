@@ -310,8 +310,8 @@ def _of_beat_means(path: Path, middle_s: F64, speed: F64) -> Reference:
         beat = int(np.argmin(even))
         raise InputError(
             f"{path.name}, column t_s: {middle_s[beat]:g} is not the middle of beat {beat}.",
-            "With a column beat the rows are beat means, t_s in the middle of each; take that"
-            " column out if they are points of a curve.",
+            "With a column beat the rows are beat means, t_s in the middle of each. Remove that"
+            " column if they are points of a curve.",
         )
     if len(speed) > BEATS_MAX:
         raise InputError(

@@ -112,8 +112,7 @@ class HeadingDrift:
             return f"straight within {abs(worst_deg):.0f} degrees ({self.source})"
         return (
             f"NOT STRAIGHT: it turned {abs(worst_deg):.0f} degrees to the {side} "
-            f"({self.source}), so its speed along the way is not the one it swam; tailbeat session "
-            "trim"
+            f"({self.source}), which lowers its speed along the tank; tailbeat session trim"
         )
 
 

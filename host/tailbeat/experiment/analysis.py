@@ -191,8 +191,9 @@ def _remarks(
     """One line for each trial that was not straight, one when the amplitude limit holds the last
     back, one for each trial of another fish, and one for each time the board began anew."""
     crooked = [
-        f"trial {row.trial} swam up to {math.degrees(abs(row.straight.worst_yaw_rad)):.0f} degrees"
-        f" off its way: its speed along the way is less than its own"
+        f"trial {row.trial} has a heading error up to"
+        f" {math.degrees(abs(row.straight.worst_yaw_rad)):.0f} degrees:"
+        f" the speed along the tank is below the fish's own"
         for row in rows
         if row.straight is not None and row.straight.crooked and row.counts
     ]
@@ -205,8 +206,8 @@ def _remarks(
         if unique_id and trial.unique_id and trial.unique_id != unique_id
     ]
     anew = [
-        f"the board began anew with trial {row.trial} ({row.file}): iterations count from"
-        f" {row.iteration} again, and figures and comparisons are of the trials since the last time"
+        f"the board restarted learning with trial {row.trial} ({row.file}): iterations count from"
+        f" {row.iteration} again. Figures and comparisons use the trials since the last restart"
         for before, row in pairwise(rows)
         if row.epoch != before.epoch
     ]
@@ -279,7 +280,7 @@ def _is_of(
 ) -> bool:
     """Whether a trial is of the series: the runs a fish was identified by are not."""
     if trial.reference_crc != crc:
-        problems.append(f"{name}: it swam another reference; left out")
+        problems.append(f"{name}: it has another reference; left out")
         return False
     if identified is None or identified.source != "runs":
         return True
@@ -391,7 +392,7 @@ def _check_temperature(value: str | float | None) -> None:
     ):
         return
     raise InputError(
-        f"water of {value} degrees Celsius is not believed.",
+        f"water of {value} degrees Celsius is out of range.",
         f"Give {low:g} to {high:g} degrees Celsius.",
     )
 

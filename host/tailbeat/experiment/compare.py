@@ -106,7 +106,7 @@ def compare(
         raise InputError(f"there is no '{what}' to compare.", f"Use {' or '.join(WHAT)}.")
     if a.reference_crc != b.reference_crc or a.beat_s != b.beat_s:
         raise InputError(
-            f"{a.name} and {b.name} swam different references: their errors do not compare.",
+            f"{a.name} and {b.name} have different references: their errors do not compare.",
             "Compare experiments of one reference.",
         )
     found = [count(one, iterations) for one in (a, b)]

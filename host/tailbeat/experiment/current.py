@@ -268,7 +268,7 @@ _MEANT = "meant.json"
 _NAMED_MAX = 3
 _OFF = "it was switched off, or somebody else has set it"
 _REMEDY = (
-    "To give it back, as after a battery swap: tailbeat session resume. If it is meant so:"
+    "To restore it, as after a battery swap: tailbeat session resume. If it is intended:"
     " tailbeat params save"
 )
 
@@ -383,7 +383,7 @@ def _board_params(fish: Fish) -> dict[str, float]:
         return with_current_names(decode.read(path, dict[str, float], remedy))
     except InputError as error:
         raise InputError(
-            f"{path} is damaged: nobody knows how the board was set.", remedy
+            f"{path} is damaged: the expected parameters are unknown.", remedy
         ) from error
 
 

@@ -391,9 +391,9 @@ def require_not_lost(fish: Fish, experiment: Experiment) -> None:
         return
     first = "" if status.pending_trial is None else "tailbeat trial discard --reason WHY, then "
     raise InputError(
-        f"the board has lost what it had learned: it is at iteration {max(1, now.iteration)}, and "
+        f"the board has lost what it had learned: it is at iteration {max(1, now.iteration)}. "
         f"{experiment.name} has a copy of iteration {held.iteration}.",
-        f"To give it back: {first}tailbeat session resume. To begin anew: tailbeat experiment new",
+        f"To restore it: {first}tailbeat session resume. To start over: tailbeat experiment new",
     )
 
 

@@ -29,9 +29,9 @@ from tailbeat.sim.config import PLANTS, config_values, make_config
 
 REDO = "redo.md"
 _UNRECORDED = (
-    "No command that swam was written down (the live page, a script, an older tool), so its options"
-    " are not known (`--rest`, `--until`, `--camera` and what goes with it); what came of them is,"
-    " behind a trial and in `journal.jsonl`."
+    "Commands of the live page, of scripts and of older tools were not recorded. Their options"
+    " (`--rest`, `--until`, `--camera`) are unknown. Their results are listed with each trial and"
+    " in `journal.jsonl`."
 )
 _UNKNOWN_SIMULATOR = ("simulated plant", "seed")  # its fault-injection port did not answer
 _ABOUT = {
@@ -75,7 +75,7 @@ def redo_text(experiment: Experiment) -> str:
 
 def _about(settings: Mapping[str, Any]) -> Iterator[str]:
     if settings.get("simulated"):
-        yield "- **simulated**: no real fish swam"
+        yield "- **simulated**: no real fish"
     for key, words in _ABOUT.items():
         if settings.get(key) not in (None, ""):
             yield f"- {words}: {settings[key]}"
@@ -142,7 +142,7 @@ def _steps(entries: list[dict[str, Any]]) -> Iterator[str]:
             number += 1
             yield f"{number}. {entry['time']}: {line}"
     if number == 0:
-        yield "The journal is empty: an older tool made this folder. The trials are in `raw/`."
+        yield "The event log is empty: an older tool made this folder. The trials are in `raw/`."
 
 
 def _step(entry: Mapping[str, Any]) -> str:
@@ -156,7 +156,7 @@ def _step(entry: Mapping[str, Any]) -> str:
     if what == "swum":
         end = entry.get("end", "")
         iteration = entry.get("iteration")
-        return f"trial {trial} swam, iteration {iteration}, {end}{_found(entry)}"
+        return f"trial {trial} executed, iteration {iteration}, {end}{_found(entry)}"
     if what == "decided":
         reason = f" ({entry['reason']})" if entry.get("reason") else ""
         return f"trial {trial}: {entry.get('decision')}{reason}"
@@ -175,7 +175,7 @@ def _step(entry: Mapping[str, Any]) -> str:
         "restarted": "the board had been switched off; gone on with, without a repeat of the best",
         "trimmed": f"`tailbeat session trim`: centre {entry.get('centre_us')} us",
         "identified": f"`tailbeat session identify`: {entry.get('file')}",
-        "restored": "`tailbeat trial learn --restore-best`: the best amplitudes swim next"
+        "restored": "`tailbeat trial learn --restore-best`: the best input is next"
         + (f" (trial {trial})" if trial else ""),
     }.get(what, "")
 
@@ -269,7 +269,7 @@ def _expected(
         if not board.same(trial.beats.amplitude_rad):
             if board.whole:
                 found.different.append(
-                    f"trial {trial.number} swam other amplitudes than were to swim next"
+                    f"trial {trial.number} executed another input than the expected one"
                 )
             board.take_over(trial)
         return board
@@ -295,7 +295,7 @@ def _expected(
 
 def _against_state(board: _Board, trial: Trial, held: Snapshot | None, found: Relearned) -> None:
     """Of the last trial: what the board had learned when its state was copied."""
-    why = "no trial swam after it"
+    why = "no trial was executed after it"
     if held is not None and held.learned is not None and held.last_learned_trial == trial.number:
         record = decode_learned(held.learned)
         back = record.input == lib.MEMORY_INPUT_RESTORED

@@ -408,7 +408,7 @@ class RawFiles(TrialStore):
         journalled = {name for name in self._journalled() if not (self.raw / name).exists()}
         problems = {
             "is not listed in SHA256SUMS": self.unlisted(),
-            "is in the journal and not in the folder": sorted(journalled - set(self.sums())),
+            "is in the event log and not in the folder": sorted(journalled - set(self.sums())),
         }
         return [
             *(f"raw/{name} {changed[(self.raw / name).exists()]}" for name in self.damaged()),

@@ -167,7 +167,7 @@ _BY_THE_LAW = ("law", "first", "restored", "")  # what made a trial's amplitudes
 def rollback_words() -> str:
     """That the board went back to its best input by itself. Every place that shows what was learned
     says it with these words."""
-    return "ROLLED BACK: worse twice in a row, so the best amplitudes swim next"
+    return "ROLLED BACK: worse twice in a row, so the best input is next"
 
 
 @dataclass(frozen=True)

@@ -257,8 +257,8 @@ def _refusal(choice: _Choice, best: float, limit: float) -> str:
     if dc < 1:
         return ""
     return (
-        f"at gain {choice.gain:g} steady errors do not shrink (ratio {dc:.2f} per trial by the "
-        f"steepest map of the set; only gains below {limit:.2f} contract, {best:.2f} does best)."
+        f"at gain {choice.gain:g} steady errors do not converge: ratio {dc:.2f} per trial by the "
+        f"steepest map of the set. Only gains below {limit:.2f} converge, {best:.2f} fastest."
     )
 
 

@@ -153,7 +153,7 @@ def _infeasible(evidence: Evidence) -> CauseFound | None:
     share = abs(worst.error_m_s)
     number = f"no input gets nearer than {mm(share)} mm/s there ({worst.why})"
     place = spans(range(worst.first, worst.last + 1))
-    proposal = "use the nearest reference that this fish can follow"
+    proposal = "use the nearest feasible reference"
     return CauseFound(Cause.INFEASIBLE, share, number, place, proposal)
 
 
@@ -217,7 +217,7 @@ def _disturbance(evidence: Evidence, found: Departure) -> CauseFound:
     share, best = found.effect_m_s, evidence.compared[found.best].trial
     number = f"{mm(share)} mm/s differ from trial to trial and cannot be learned"
     proposal = (
-        f"repeat the input of trial {best}, the best without it; let the water rest longer, and"
+        f"repeat the input of trial {best}, the best without it. Let the water rest longer, and"
         " look for what moves it"
     )
     return CauseFound(Cause.DISTURBANCE, share, number, "every trial", proposal, float(best))
@@ -226,7 +226,7 @@ def _disturbance(evidence: Evidence, found: Departure) -> CauseFound:
 def _misfit(evidence: Evidence, found: Departure) -> CauseFound:
     share = abs(found.effect_m_s)
     number = f"the measured model misses every trial by {mm(share)} mm/s in the same way"
-    proposal = "measure the fish again (one run)"
+    proposal = "measure the fish again (one trial)"
     return CauseFound(Cause.MISFIT, share, number, "every trial", proposal)
 
 
@@ -234,7 +234,7 @@ def _changed(evidence: Evidence, found: Departure) -> CauseFound:
     share, first = abs(found.effect_m_s), evidence.compared[found.since].trial
     sign = "+" if found.effect_m_s > 0 else "-"
     number = f"{sign}{mm(share)} mm/s at the same amplitudes (battery, ballast, fin?)"
-    proposal = "look at battery and fin; if nothing is wrong, measure the fish again (one run)"
+    proposal = "look at battery and fin; if nothing is wrong, measure the fish again (one trial)"
     place = f"since trial {first}"
     return CauseFound(Cause.CHANGED, share, number, place, proposal, value=float(first))
 

@@ -51,7 +51,7 @@ DRAG = "drag alone slows it"
 SATURATED = "saturated"
 SLEW = "slew"
 START = "delay at the start"
-COUPLED = "neighbouring beats cannot be had at once"
+COUPLED = "neighbouring beats are infeasible together"
 
 
 @dataclass(frozen=True)

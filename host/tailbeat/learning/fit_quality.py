@@ -113,7 +113,7 @@ _WIDE = {
     "kappa_per_m": (0.3, "a coast-down from a faster cruise narrows it"),
     "slope_m_s_rad": (0.1, "more runs near the largest amplitude narrow it"),
     "dead_zone_rad": (0.03, "a long cruise a little above it narrows it"),
-    "delay_s": (0.15, "a run whose amplitude changes gently, beat by beat, narrows it"),
+    "delay_s": (0.15, "a trial whose amplitude changes gently, beat by beat, narrows it"),
 }
 NAMES = {
     "kappa_per_m": ("kappa (drag over mass)", "1/m"),
@@ -230,7 +230,7 @@ def _warnings(
     ]
     if rms_m_s > _RMS_M_S:
         found.append(
-            f"the model misses the beats by {rms_m_s * 1e3:.1f} mm/s RMS; look at the plot for "
+            f"the model misses the beats by {rms_m_s * 1e3:.1f} mm/s RMS. Look in the plot for "
             "what repeats, and whether something touched the fish"
         )
     if battery is not None and battery[1] - battery[0] > _BATTERY_SPREAD_V:

@@ -339,8 +339,8 @@ def _fault(word: str) -> Fault:
         pass
     raise InputError(
         f"a line cannot have '{word}'",
-        "It has drop=, errors= (of the bytes), twice= and short= with a fraction, delay=hc05,"
-        " delay=LOW:HIGH and stall=EVERY:LENGTH in s, with commas between.",
+        "It has drop=, errors= (of the bytes), twice= and short= with a fraction. It also has"
+        " delay=hc05, delay=LOW:HIGH and stall=EVERY:LENGTH in s. Put commas between them.",
     )
 
 

@@ -197,7 +197,7 @@ class KeyStore:
                 "import'.",
             )
         names = ", ".join(f"{k.fingerprint} of board {k.board[:8]} {k.name}".rstrip() for k in keys)
-        what = "there are several keys" if which is None else f"'{which}' is not the one key meant"
+        what = "there are several keys" if which is None else f"'{which}' names no single key"
         raise InputError(f"{what}: {names}", "Give the fingerprint of one of them.")
 
     def save(self, key: StoredKey) -> None:

@@ -208,7 +208,7 @@ class Link:
         """The error for a board that does not answer, or is not believed."""
         if why := self.signing.why_silent():
             return LinkLostError(
-                f"the board on {self.transport.name} is not believed: {why}",
+                f"the board on {self.transport.name} is rejected: {why}",
                 "Look with 'tailbeat board key status' what is there; connect again.",
             )
         asked = f"(asked {tries} times in {waited_s:.1f} s)"
@@ -216,12 +216,12 @@ class Link:
         if silent_s < min(waited_s, self.patient(_HEARD_S)):
             return LinkLostError(
                 f"the board on {self.transport.name} is heard but does not answer {asked}",
-                "What is sent does not reach it: check the wire from the radio's TX to the board,"
-                " bring the radios closer; connect again.",
+                "Messages do not reach it. Check the wire from the Bluetooth module's TX to the"
+                " board, move closer to the fish, then connect again.",
             )
         return LinkLostError(
             f"the board does not answer on {self.transport.name} {asked}",
-            "Check power, cable and radio (the antenna must be out of the water); connect again.",
+            "Check power, cable and Bluetooth (antenna out of the water); connect again.",
         )
 
     def command(

@@ -71,7 +71,7 @@ def cannot_open(path: str, error: Exception) -> ConnectError:
     if number == errno.ENOENT:
         return ConnectError(
             f"cannot open {path}: there is no such port{_listing()}",
-            "Check the cable (it must carry data); bind a paired radio with:"
+            "Check the cable (it must carry data); bind a paired Bluetooth module with:"
             " sudo rfcomm bind 0 ADDRESS",
         )
     if number in (errno.EACCES, errno.EPERM):
@@ -81,8 +81,8 @@ def cannot_open(path: str, error: Exception) -> ConnectError:
         return ConnectError(f"cannot open {path}: it is in use by {users}", CLOSE_IT)
     if number in _NO_RADIO:
         return ConnectError(
-            f"cannot open {path}: the radio does not answer",
-            "Switch the fish on, keep the antenna out of the water; if it stays, pair it anew.",
+            f"cannot open {path}: the Bluetooth module does not answer",
+            "Switch the fish on, keep the antenna out of the water; if it stays, pair it again.",
         )
     return ConnectError(
         f"cannot open {path} ({reason(error)})",
@@ -240,7 +240,7 @@ class SerialTransport:
 
     def _lost(self) -> LinkLostError:
         return LinkLostError(
-            f"the serial port {self.name} is gone", "Check cable and radio; connect again."
+            f"the serial port {self.name} is gone", "Check cable and Bluetooth; connect again."
         )
 
 

@@ -188,7 +188,7 @@ class Signing:
             return "what comes from it is signed with a key that this computer has not"
         if self.refused.stale:
             return (
-                "what comes from it is old: somebody repeats what was recorded, or this computer's"
-                " key has a wrong time (then: 'tailbeat board key delete', and import it anew)"
+                "its messages are old: another host replays a recording, or this computer's key"
+                " has a wrong time. In that case: 'tailbeat board key delete', then import it again"
             )
         return ""

@@ -17,13 +17,13 @@ _CHUNK_BYTES = 65536
 _QUEUE_MAX_BYTES = 1 << 20
 _HEAD_MAX_BYTES = 80
 _TAKEN = b"tailbeat: another program is connected here"
-_TAKEN_LINE = re.compile(re.escape(_TAKEN) + rb"(?:; wired console on port (\d+))?\n")
+_TAKEN_LINE = re.compile(re.escape(_TAKEN) + rb"(?:; USB serial on port (\d+))?\n")
 
 
 def taken_line(console: int | None) -> bytes:
     """What a simulator says to a second client before it hangs up. ``console``: the port that
     reaches the same board."""
-    there = "" if console is None else f"; wired console on port {console}"
+    there = "" if console is None else f"; USB serial on port {console}"
     return _TAKEN + there.encode() + b"\n"
 
 
@@ -137,9 +137,9 @@ class TcpTransport:
                     return taken
         if self._socket is not None and not self._head:
             return LinkLostError(
-                f"{self.name} closed the connection without a word",
-                "It may serve one program at a time: end the other one. Or the board has ended:"
-                " start it, connect again.",
+                f"{self.name} closed the connection at once",
+                "It may serve one program at a time: end the other one. If the board has ended,"
+                " start it and connect again.",
             )
         return LinkLostError(
             f"the connection to {self.name} broke", "See that the board still runs; connect again."

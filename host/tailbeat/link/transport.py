@@ -71,8 +71,8 @@ class Hearing:
         return {
             "silence": (
                 f"there is no tailbeat board on {name}",
-                "Nothing was heard. Check that it is switched on, that the radio is paired and out"
-                " of the water, and that this is the right address.",
+                "Nothing was received. Check that it is switched on, that the Bluetooth module is"
+                " paired and out of the water. Check the address.",
             ),
             "noise": (
                 f"there is no tailbeat board on {name}",
@@ -90,15 +90,15 @@ class Hearing:
             ),
             "damaged": (
                 f"MAVLink comes on {name}, but every frame of it is damaged",
-                "Check cable, ground and radio (the antenna must be out of the water); if it stays,"
-                " tool and firmware differ in version.",
+                "Check cable, ground and Bluetooth (the antenna must be out of the water). If it"
+                " stays, tool and firmware differ in version.",
             ),
             "text": (
                 f"there is no tailbeat board on {name}: what comes is text",
                 "Another device or firmware is on that port. 'tailbeat board flash' writes ours.",
             ),
             "garbage": (
-                f"bytes come on {name} but no MAVLink: the radio module is probably still at"
+                f"bytes come on {name} but no MAVLink: the Bluetooth module is probably still at"
                 " 9600 baud",
                 f"Raise it with: {BLUETOOTH_SETUP}",
             ),

@@ -156,7 +156,7 @@ def require_one_reference(analyses: Sequence[Analysis]) -> None:
     for other in analyses[1:]:
         if (other.reference_crc, other.beat_s) != (first.reference_crc, first.beat_s):
             raise InputError(
-                f"{other.name} swam the reference {other.reference_name or 'without a name'} "
+                f"{other.name} has the reference {other.reference_name or 'without a name'} "
                 f"({other.reference_crc:#010x}), {first.name} "
                 f"{first.reference_name or 'one without a name'} ({first.reference_crc:#010x}).",
                 "Compare experiments of one reference.",

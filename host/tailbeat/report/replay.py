@@ -96,7 +96,7 @@ def _problems(experiment: Experiment, analysis: Analysis) -> list[str]:
 
 def _is_bad(name: str, told: str) -> bool:
     """Not those of another reference, runs, or a shorter copy of the same trial."""
-    return name in told and f"raw/{name}" not in told and f"{name}: it swam another" not in told
+    return name in told and f"raw/{name}" not in told and f"{name}: it has another" not in told
 
 
 def _recompute(trial: Trial, found: Replay) -> None:
@@ -148,14 +148,14 @@ def _redraw(experiment: Experiment, copy: Experiment, scratch: Path, found: Repl
     folder = experiment.folder / REPORT
     if not (folder / MADE).is_file():
         if folder.is_dir():
-            found.not_drawn.append((REPORT, f"it has no {MADE}: nobody knows how it was made"))
+            found.not_drawn.append((REPORT, f"it has no {MADE}: its options are unknown"))
         return
     made = _made(folder / MADE)
     files = _files(folder)
     others = _others(experiment, made)
     if isinstance(others, str):
         found.different.append(
-            f"{REPORT} cannot be made again: {others}, which it compares with, is gone; put it"
+            f"{REPORT} cannot be made again: {others}, which it compares with, is gone. Put it"
             " back, or make the report without it: tailbeat report"
         )
         found.not_drawn += [(f"{REPORT}/{name}", f"{others} is gone") for name in files]

@@ -129,7 +129,7 @@ def require_best(series: Sequence[Trial], input_crc: int) -> None:
 
 def _nothing_to_compare() -> InputError:
     return InputError(
-        "no trial of the experiment swam the board's best amplitudes: there is nothing to compare"
+        "no trial of the experiment executed the board's best input: there is nothing to compare"
         " a repeat with.",
         "Name the experiment they were executed in, or go on: tailbeat trial run",
     )

@@ -110,7 +110,7 @@ def unmeasured_text(trial: Trial) -> str:
     if not hole_s:
         return words
     return (
-        f"{words}: none came from the camera for {hole_s:.1f} s; it lost sight of the fish, or this"
+        f"{words}: none came from the camera for {hole_s:.1f} s. It did not see the fish, or this"
         " computer is too slow for it (end other programs, take smaller pictures)"
     )
 

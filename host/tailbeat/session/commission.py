@@ -217,7 +217,7 @@ def give_reference(fish: Fish, reference: Reference, operator: Operator) -> None
         return
     if problems := reference.check(ReferenceLimits.from_params(fish.params.values())):
         raise InputError(problems[0].meaning, problems[0].remedy)
-    text = "The board has learned along another reference and will forget that. Go on?"
+    text = "The board has learned along another reference; going on resets its learning. Go on?"
     if status.best_iteration is not None and not operator.confirm(text):
         raise GivenUp("What the board has learned is kept: the answer was no.", "")
     fish.upload_reference(reference)

@@ -117,8 +117,8 @@ def not_logged_text(fish: Fish) -> str:
     if experiment is None or experiment_for(fish) is not None:
         return ""
     return (
-        f"not written into {experiment.name}, which is of another reference; a new one begins with"
-        " the next guided trial run, or now: tailbeat experiment new"
+        f"not written into {experiment.name}, which is of another reference. A new one begins with"
+        " the next guided trial, or now: tailbeat experiment new"
     )
 
 
@@ -256,10 +256,13 @@ class Decisions:
         if decision.kind != "keep" and learned:
             what, remedy = (
                 "has learned from it",
-                "To swim the best so far next: tailbeat trial learn --restore-best",
+                "To use the best input next: tailbeat trial learn --restore-best",
             )
         elif decision.kind == "keep" and recorded.measured_beats and not (learned or waits):
-            what, remedy = "does not hold it any more and has not learned from it", "Swim it again"
+            what, remedy = (
+                "does not hold it any more and has not learned from it",
+                "Run the trial again",
+            )
         else:
             return
         self.account.withdrawn(recorded, f"the board {what}")

@@ -343,8 +343,8 @@ class DistanceGuard:
             return None
         return StopReason(
             StopKind.DISTANCE,
-            f"room: it has swum {self.way_m:.2f} m and needs to "
-            f"{min(reach_m, 9.99):.2f} m to stop; there are {self.room_m:.2f} m",
+            f"room: travel {self.way_m:.2f} m, stopping point "
+            f"{min(reach_m, 9.99):.2f} m, clearance {self.room_m:.2f} m",
         )
 
     def _ahead_m_s(self) -> float:

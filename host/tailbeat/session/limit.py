@@ -67,7 +67,7 @@ def limit_offer(
     stays = f"{AMP_MAX} stays {now:.2f}"
     if identified is None:
         return (
-            f"{stays}: nobody knows yet what amplitude the reference needs:"
+            f"{stays}: the amplitude that the reference needs is not known yet:"
             " tailbeat session commission"
         )
     need = needed_rad(identified, reference)
@@ -81,7 +81,7 @@ def limit_offer(
         return f"{stays}: {_held_words(params, shown, need)}"
     travel = _travel(params, reference, identified, to)
     if not travel.fits:
-        return f"{stays}: no room for more, the trial would come {travel.text()}"
+        return f"{stays}: the tank clearance is used up, the trial would come {travel.text()}"
     return LimitIncrease(AMP_MAX, now, to, _reason(params, reference, identified, need, to, travel))
 
 
@@ -93,7 +93,7 @@ def require_tried(fish: Fish, limit_rad: float) -> None:
     identified = identified_if_readable(library_of(fish))
     allowed = 0.0 if identified is None else tried_rad(identified)
     if limit_rad > allowed + GRAIN_RAD / 2:
-        why = f"no run of it went beyond {allowed:.2f} rad" if allowed else "it was not measured"
+        why = f"no trial of it went beyond {allowed:.2f} rad" if allowed else "it was not measured"
         raise InputError(
             f"{AMP_MAX} may not become {limit_rad:.2f} for this fish: {why}.",
             "Measure the fish: tailbeat start, or START with commissioning.",
@@ -115,13 +115,13 @@ def allowed_rad(identified: Identified, params: Mapping[str, float]) -> float:
 def _not_now(straight: HeadingDrift | None, rolled_back: bool) -> str | None:
     if rolled_back:
         return (
-            "the board has just rolled back to its best input, and what went wrong would have more"
-            " room; swim until it learns again"
+            "the board has just rolled back to its best input, so a larger limit is not safe now."
+            " Run trials until it learns again"
         )
     if straight is None:
         return (
-            "nothing tells whether it swims straight (an IMU or a camera would); if you see that it"
-            " does, raise it yourself: tailbeat params set"
+            "its heading error is unknown without an IMU or a camera. If you see that it swims"
+            " straight, raise the limit yourself: tailbeat params set"
         )
     if straight.crooked:
         off = abs(math.degrees(straight.worst_yaw_rad))
@@ -133,13 +133,13 @@ def _held_words(params: Mapping[str, float], shown: float, need: float) -> str:
     servo = servo_rad(params)
     if shown < down_to_grain(servo):
         return (
-            f"no run of the fish went beyond {shown:.2f} rad, and the reference needs {need:.2f}:"
+            f"no trial of the fish went beyond {shown:.2f} rad, and the reference needs {need:.2f}:"
             " tailbeat session commission"
         )
     low, high = params["SERVO_MIN_US"], params["SERVO_MAX_US"]
     return (
         f"the servo turns {servo:.2f} rad to the shorter side ({low:.0f} to {high:.0f} us around "
-        f"{params['SERVO_CENTRE_US']:.0f}), and the reference needs {need:.2f}; use a slower one"
+        f"{params['SERVO_CENTRE_US']:.0f}). The reference needs {need:.2f}; use a slower one"
     )
 
 
@@ -163,5 +163,5 @@ def _reason(
 ) -> str:
     top = float(np.max(reference.speed_m_s)) * 1e3
     words = f"the reference needs {need:.2f}, {hold_rad(identified, reference):.2f} for its"
-    tried = f"a run went to {tried_rad(identified):.2f} without a fault"
+    tried = f"a trial went to {tried_rad(identified):.2f} without a fault"
     return f"{words} {top:.0f} mm/s; {tried}; the fish travels {travel.text()}"

@@ -56,15 +56,15 @@ def forecast(now_v: float, drains: Sequence[Drain], params: Mapping[str, float])
     critical_v = params.get("BATT_CRIT_V", 0.0)
     if critical_v > 0 and now_v - sag_v < critical_v:
         return (
-            f"the battery will not last: it has {now_v:.2f} V, a trial takes it {sag_v:.2f} V down,"
-            f" and below {critical_v:.2f} V the tail stops; change it before this trial"
+            f"the battery will not last: it has {now_v:.2f} V and a trial takes it {sag_v:.2f} V"
+            f" down. Below {critical_v:.2f} V the tail stops. Change it before this trial"
         )
     starts = [*(drain.start_v for drain in recent), now_v]
     fall_v = (starts[0] - starts[-1]) / len(recent)
     low_v = params.get("BATT_LOW_V", 0.0)
     if low_v > 0 and fall_v > 0 and now_v - fall_v < low_v:
         return (
-            f"the battery has {now_v:.2f} V and falls by {fall_v:.2f} V per trial: below"
+            f"the battery has {now_v:.2f} V and falls by {fall_v:.2f} V per trial. Below"
             f" {low_v:.2f} V the board will not arm after this one; have a charged one ready"
         )
     return None

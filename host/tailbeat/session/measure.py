@@ -81,7 +81,7 @@ class MeasuringRun:
     def question(self, limit_rad: float) -> str:
         """Before it, for the operator."""
         beyond = self.top_rad > limit_rad + GRAIN_RAD / 2
-        words = f", for this run beyond its limit of {limit_rad:.2f}" if beyond else ""
+        words = f", for this trial beyond its limit of {limit_rad:.2f}" if beyond else ""
         return (
             f"Run {self.number} to measure the fish: in {len(self.amplitude_rad)} beats the tail"
             f" swings wider and wider, to {self.top_rad:.2f} rad{words}; {self.travel.text()}."
@@ -228,7 +228,7 @@ class _Runs:
             return
         self.board.fish.clear()
         if self.operator.wants_abort():
-            raise GivenUp("the run was stopped by hand", "Begin again with the same command.")
+            raise GivenUp("the trial was stopped by hand", "Begin again with the same command.")
         if outcome.end in NO_ROOM and outcome.executed_beats >= _TELLING_BEATS:
             return
         raise TailbeatError(

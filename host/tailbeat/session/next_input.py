@@ -202,16 +202,14 @@ def choose_next_input(proposal: Proposal, restored: bool, best_m_s: float | None
     if not restored:
         return NextInput(True)
     if proposal.law == "best":
-        return NextInput(False, "the best amplitudes swim next, as the model asks, too")
+        return NextInput(False, "the best input is next, as the model proposes")
     if proposal.law == "p":
-        return NextInput(False, "the best amplitudes swim next, not a step by P")
+        return NextInput(False, "the best input is next, not a step by P")
     median = proposal.predicted_max_abs_error_m_s[1]
     if best_m_s is None or median < best_m_s:
         return NextInput(True, "the model's plan takes the place of the best amplitudes")
     said = f"{median * 1e3:.1f} mm/s, the best had {best_m_s * 1e3:.1f}"
-    return NextInput(
-        False, f"the best amplitudes swim next: the model foresees nothing better ({said})"
-    )
+    return NextInput(False, f"the best input is next: the model predicts nothing better ({said})")
 
 
 def next_step(

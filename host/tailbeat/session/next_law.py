@@ -160,7 +160,7 @@ class NextLaw:
             return ""
         count = f"{len(trials)} trial{'s' if len(trials) > 1 else ''}"
         return (
-            f"a model fitted to {count} does not promise less than the first trial had:"
+            f"a model fitted to {count} does not predict less than the first trial had:"
             f" {mm(low)} to {mm(high)} mm/s"
         )
 

@@ -89,8 +89,8 @@ class Travel:
         if self.fits:
             return
         raise InputError(
-            f"the next trial would come {self.expected_m:.2f} m (by {self.by}), and the tank has "
-            f"room for {max(self.room_m, 0.0):.2f} m.",
+            f"the next trial would travel {self.expected_m:.2f} m (by {self.by}), and the tank "
+            f"clearance is {max(self.room_m, 0.0):.2f} m.",
             "Lower AMP_MAX_RAD (or ILC_GAIN before the first trial), shorten the reference, or "
             "correct TANK_LEN_M (0 = not checked).",
         )

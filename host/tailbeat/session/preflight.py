@@ -97,7 +97,7 @@ def wait_for_rest(
     """Waits until ``rest_s`` after the last trial's end. ``status``: of now."""
     if rest_s <= 0:
         return
-    step.tell("asks the board when it swam last")
+    step.tell("asks the board when its last trial was")
     asked_s = step.elapsed_s
     rested = rested_s(step.fish, status)
     if rested is None:
@@ -128,7 +128,7 @@ def wait_until_still(
         return _wait_by_camera(step, limits, view)
     if imu is not None:
         return _wait_by_imu(step, limits, imu)
-    step.notice("nobody knows whether water and fish are still: there is no camera and no IMU")
+    step.notice("not checked: whether water and fish are still, without camera and IMU")
     return None
 
 
@@ -316,7 +316,7 @@ def check_room(at: Preflight, step: PreflightStep) -> None:
         raise
     if travel.worst_m > travel.room_m:
         step.notice(
-            f"there is room for {travel.room_m:.2f} m; the expected travel is"
+            f"tank clearance {travel.room_m:.2f} m; the expected travel is"
             f" {travel.expected_m:.2f} m, at worst {travel.worst_m:.2f}: be ready to catch the fish"
         )
     step.tell(travel.text(), ok=True)
@@ -381,7 +381,7 @@ POSE = Check(
 STILLNESS = Check(
     "still",
     check_stillness,
-    "Switch off pumps, let the water calm down, let go of the fish only when it lies still;"
+    "Switch off pumps and let the water calm down. Release the fish only when it lies still,"
     " then begin again.",
     is_waiting=True,
 )

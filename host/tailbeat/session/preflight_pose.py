@@ -187,7 +187,7 @@ def _aside(y_m: float, limits: PreflightLimits) -> str | None:
 
 def _unknown(view: CameraPose | None) -> str:
     if view is None:
-        return "the IMU has not told its yaw yet"
+        return "the IMU has not reported its yaw yet"
     return "looks where the fish lies" if view.frames else view.blind_words()
 
 

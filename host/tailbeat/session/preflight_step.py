@@ -105,7 +105,8 @@ class PreflightStep:
         if self._operator.wants_abort():
             self.tell("given up", ok=False)
             raise GivenUp(
-                f"given up at the step '{self._name}'", "Nothing has swum. Begin again when ready."
+                f"given up at the step '{self._name}'",
+                "No trial was started. Begin again when ready.",
             )
         fish.link.run(_LOOK_S / max(fish.clock.rate, 1.0))
         fish.clock.keep()
@@ -158,7 +159,9 @@ def _count(fish: Fish, countdown_s: float, operator: Operator, heard: list[Board
         left_s = countdown_s - (fish.transport.now_s() - begin_s) * fish.clock.rate
         whole_s = max(0, math.ceil(left_s - 1e-6))
         if operator.wants_abort():
-            raise GivenUp("given up in the countdown", "Nothing has swum. Begin again when ready.")
+            raise GivenUp(
+                "given up in the countdown", "No trial was started. Begin again when ready."
+            )
         if whole_s == 0:
             _require_armed(fish.status())
         if whole_s != reported:

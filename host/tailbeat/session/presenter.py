@@ -35,8 +35,8 @@ SEVERITY_WARNING = 4  # MAV_SEVERITY_WARNING; lower is worse
 _MARKS = {True: "ok", False: "no", None: ".."}
 _DECIDED = {
     "keep": "kept",
-    "repeat": "counts as a repeat, nothing is learned; the same amplitudes swim again",
-    "discard": "discarded, counts for nothing; the same amplitudes swim again",
+    "repeat": "counts as a repeat, nothing is learned; the same input is next",
+    "discard": "discarded, does not count; the same input is next",
 }
 
 

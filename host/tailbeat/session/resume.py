@@ -190,7 +190,7 @@ def _put_back(fish: Fish, experiment: Experiment, held: Snapshot) -> None:
                 raise
         except TailbeatError as error:
             raise TailbeatError(
-                "the amplitudes that were to swim next could not be put back "
+                "the next feedforward input could not be put back "
                 f"({error.message.rstrip('.')}); they are kept in {repeat_path(experiment)}",
                 f"Connect again, then: {RESUME_COMMAND}",
             ) from error
@@ -387,7 +387,7 @@ def _lacks(fish: Fish, experiment: Experiment, held: Snapshot, notes: list[str])
     if status.best_iteration is not None:
         raise InputError(
             f"the board has another reference ({status.reference_crc:08x}) than {experiment.name} "
-            f"({crc:08x}) and has learned along it; giving it this one would lose that.",
+            f"({crc:08x}) and has learned along it. Restoring this one would lose that.",
             "Nothing was changed. Name that reference's experiment, or upload this one's yourself: "
             f"tailbeat reference upload {experiment.folder / 'reference.csv'}",
         )
@@ -408,13 +408,13 @@ def _is_behind(fish: Fish, held: Snapshot, notes: list[str]) -> bool:
             notes.append("the board's next amplitudes are not the copy's; the board's stay")
         elif mine is not None:
             notes.append(
-                f"the board has learned more than the copy knew (iteration {status.iteration}, not "
-                f"{held.iteration}); it keeps that, and the copy is new"
+                f"the board has learned more than the copy has (iteration {status.iteration}, not "
+                f"{held.iteration}). It keeps that, and the copy is new"
             )
         return False
     if status.best_iteration is not None and status.iteration > held.iteration:
         raise InputError(
-            f"the board and the copy have both learned without each other: the board is at "
+            f"the board and the copy have both learned, separately. The board is at "
             f"iteration {status.iteration} and last learned from trial {last}, the copy at "
             f"{held.iteration} and from trial {held_last}.",
             "Nothing was changed. Begin a new experiment for what the board has: tailbeat "

@@ -135,7 +135,7 @@ def run_series(
 def _require_no_repeat(experiment: Experiment) -> None:
     if held_before(experiment) is not None:
         raise InputError(
-            "a repeat of the best after a battery swap was interrupted; the board still holds the"
+            "a repeat of the best after a battery swap was interrupted. The board still holds the"
             " best input in place of the next one.",
             f"To finish it: {RESUME_COMMAND}",
         )

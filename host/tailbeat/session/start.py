@@ -38,7 +38,7 @@ _STEPS = (
     StepBegun(2, 5, "commission", "get to know a new fish", "3 short runs, 6 min", "y or n"),
     StepBegun(3, 5, "reference", "the speed to learn, beat by beat", "seconds", "y or n"),
     StepBegun(
-        4, 5, "trials", "each is one run along the reference, then it learns", "2 min each",
+        4, 5, "trials", "the fish follows the reference, then it learns", "2 min each",
         "any key stops the tail",
     ),
     StepBegun(5, 5, "report", "figures and tables of all trials", "seconds", "no key"),
@@ -193,8 +193,8 @@ class _Guide:
         low, high = around.minimax_m_s
         words = (
             f"{reference.name}, {reference.beats} tail beats (one a second); the fish travels"
-            f" {travel.text()}; error bound {mm(around.bound.minimax_m_s)} mm/s ({mm(low)} to"
-            f" {mm(high)}): by the measured model nothing gets a smaller largest error"
+            f" {travel.text()}. Error bound {mm(around.bound.minimax_m_s)} mm/s ({mm(low)} to"
+            f" {mm(high)}): by the measured model no input has a smaller largest error"
         )
         fish = KnownFish(known, "measured")
         if (saturation := expected_saturation(fish, reference, params)) is not None:

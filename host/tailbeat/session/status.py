@@ -127,7 +127,7 @@ def _next(found: SessionStatus) -> str:
     """A board counts from 1 once it was armed; 0 is no number to tell anybody."""
     if found.iteration == 0 and not found.best_trial:
         return "nothing learned yet"
-    return f"iteration {found.iteration} swims next{_best(found)}"
+    return f"iteration {found.iteration} is next{_best(found)}"
 
 
 def _best(found: SessionStatus) -> str:

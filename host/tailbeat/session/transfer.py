@@ -192,7 +192,7 @@ def plan(
     if not by.alike:
         raise InputError(
             f"{new.name} is no scaled copy of the reference that was learned "
-            f"({_shape(learned.reference)}): the best fit misses by "
+            f"({_shape(learned.reference)}). The best fit misses by "
             f"{by.residual_m_s * 1e3:.1f} mm/s, {by.residual_m_s / by.peak_m_s:.0%} of its "
             f"largest speed; {TOLERANCE:.0%} are allowed.",
             "Scale speed and time of the old reference only, or leave out --warm-start.",
@@ -244,7 +244,7 @@ def _state(fish: Fish, new: Reference) -> _State:
     if swims_it and not _is_fresh(learned):
         raise InputError(
             f"the board has learned along {new.name} already (iteration {status.iteration}).",
-            "Swim on with that; its best swims again by: tailbeat trial learn --restore-best.",
+            "Go on with that, or use its best input next: tailbeat trial learn --restore-best.",
         )
     return _State(reference, learned, swims_it)
 
@@ -304,9 +304,8 @@ def _along(
     except InputError as error:
         raise InputError(
             f"'{text}' is nothing to learn from.",
-            "After --warm-start give 'board', a trial's .ulg, the folder of an experiment or of a "
-            "copy, "
-            "or a reference that was learned.",
+            "After --warm-start give 'board', a trial's .ulg, a reference that was learned, or the "
+            "folder of an experiment or copy.",
         ) from error
     held = state.reference is not None and record_crc(state.reference) == old.crc
     if held and has_learned(state.learned):
@@ -347,8 +346,8 @@ def _require_room(travel_m: float, limits: ReferenceLimits) -> None:
     room_m = limits.tank_m - limits.fish_m
     if limits.tank_m > 0 and travel_m > room_m + _ROUNDING:
         raise InputError(
-            f"by what was learned the fish would swim {travel_m:.2f} m, and the tank has room for "
-            f"{room_m:.2f} m.",
+            f"by what was learned the fish would travel {travel_m:.2f} m, and the tank clearance"
+            f" is {room_m:.2f} m.",
             "Shorten or slow the reference, or correct TANK_LEN_M (0 = not checked).",
         )
 

@@ -316,7 +316,7 @@ def _take_status(run: _Run, status: BoardStatus) -> None:
         run.progress = (status.state, status.beat)
         run.progress_at_s = run.fish.link.transport.now_s()
     if run.source.needs_rests and status.state == "SETTLING":
-        _ask_to_hold(run, "swum; catch the fish and hold it still until the result is there")
+        _ask_to_hold(run, "done; catch the fish and hold it still until the result is there")
 
 
 def _consult(run: _Run, what: object) -> None:
@@ -422,8 +422,8 @@ def _reconnect(run: _Run) -> None:
     raise LinkLostError(
         f"the link broke during trial {run.number} and did not come back in"
         f" {run.reconnect_s:.0f} s" + (f": {why}" if why else ""),
-        "The board stops by itself and keeps what was executed; bring the radios closer, then look"
-        " with 'tailbeat info' and run the same command again.",
+        "The board stops by itself and keeps what was executed. Move closer to the fish, look"
+        " with 'tailbeat info', then run the same command again.",
     )
 
 

@@ -109,8 +109,8 @@ def centre_of(
         raise InputError(
             f"the two trials turned alike ({low.turn_rad_m:+.3f} and {high.turn_rad_m:+.3f} rad/m, "
             f"each +- {sigma:.3f}), though the tail beat about two centres.",
-            "Look whether tail and servo are firm and the fish is free on all sides, then trim "
-            "again; nothing was changed.",
+            "Nothing was changed. Check that tail and servo are firm and the fish is free on all "
+            "sides, then trim again.",
         )
     width = high.centre_us - low.centre_us
     centre = low.centre_us - low.turn_rad_m * width / apart
@@ -271,7 +271,7 @@ class _TrimRunner:
     def _ask(self, number: int, centre_us: float, planned: TrimPlan) -> None:
         side = "left" if centre_us < self.board.params[CENTRE] else "right"
         text = (
-            f"run {number} of 2, the tail's centre a little to the {side} ({centre_us:.0f} us): "
+            f"trial {number} of 2, centre a little to the {side} ({centre_us:.0f} us): "
             f"{len(planned.amplitude_rad)} beats, up to {planned.amplitude_rad.max():.2f} rad; "
             f"{planned.travel.text()}"
         )

@@ -240,7 +240,7 @@ VERBS = {
             World.swap_battery,
         ),
         Verb("camera on|off", "the camera", choices=_on_off(World.set_camera)),
-        Verb("radio on|off", "the radio link", choices=_on_off(World.set_radio)),
+        Verb("radio on|off", "the Bluetooth link", choices=_on_off(World.set_radio)),
         Verb(
             "imu on|off|reboot|wedge",
             "its plug; wedged, it is silent until the next power-on",

@@ -157,7 +157,7 @@ def test_a_healthy_board(look: Look, board: SimBoard) -> None:
 def test_a_forged_board_that_is_well(look: Look, forged: Forged) -> None:
     found = look(forged)
     assert others(found) == {OK}
-    assert (found["key"].status, "radio range" in found["key"].text) == (WARNING, True)
+    assert (found["key"].status, "Bluetooth range" in found["key"].text) == (WARNING, True)
 
 
 def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
@@ -193,9 +193,9 @@ def test_nothing_connected(
     assert run(["board", "check"]) == 1
     line = capsys.readouterr().out
     assert line == (
-        "problem  port  no fish found: no serial port is called like a radio or has a Due's USB"
-        " ids, no simulator at tcp:127.0.0.1:1. Switch the fish on, pair its radio, or say where it"
-        " is: --connect; without a fish: tailbeat sim\n"
+        "problem  port  no fish found: no serial port looks like a Bluetooth link or has a Due's"
+        " USB ids, no simulator at tcp:127.0.0.1:1. Switch the fish on, pair its Bluetooth module,"
+        " or name its port with --connect. Without a fish: tailbeat sim\n"
     )
 
 
@@ -242,7 +242,7 @@ def test_a_port_in_use() -> None:
     [
         (errno.EACCES, "you may not use it", "usermod -aG dialout"),
         (errno.EBUSY, "in use by another program", "Close"),
-        (errno.EHOSTDOWN, "the radio does not answer", "Switch the fish on"),
+        (errno.EHOSTDOWN, "the Bluetooth module does not answer", "Switch the fish on"),
         (errno.EIO, "Input/output error", "cable"),
     ],
 )
@@ -436,7 +436,12 @@ KEY = StoredKey(bytes(range(32)), "cafe" * 8, "lab")
 @pytest.mark.parametrize(
     ("key", "status", "text", "remedy"),
     [
-        (KeyStatus(OPEN, "cafe", None, None, {}), WARNING, "radio range", "tailbeat board key set"),
+        (
+            KeyStatus(OPEN, "cafe", None, None, {}),
+            WARNING,
+            "Bluetooth range",
+            "tailbeat board key set",
+        ),
         (KeyStatus(OPEN, "cafe", None, KEY, {}), PROBLEM, "pretends", "tailbeat board key set"),
         (KeyStatus(MISSING, "cafe", None, None, {}), PROBLEM, "not obey", "board key import"),
         (KeyStatus(HELD, "cafe", KEY, None, {}), OK, KEY.fingerprint, ""),

@@ -467,7 +467,7 @@ def test_the_key_does_not_come_back_by_radio(
     due.board.flash = b"\xff" * FLASH_BYTES
     due.board.world.power_cycle()
     _, out, _ = command("--restore", str(backup), "--connect", "radio")
-    assert "not restored: the key (the key can only be set over the wired port)" in out
+    assert "not restored: the key (the key can only be set over USB serial)" in out
     status, out, err = command("--restore", str(backup), "--connect", ACM)
     assert (status, err.count("\n")) == (0, 1)
     assert "this computer has its key" in err
@@ -489,7 +489,7 @@ def test_a_stranger_is_warned_before_the_key_goes(due: Due, keyed: KeyStore) -> 
     keyed.delete(keyed.find(None))
     with Fish(SimTransport(due.board)) as fish:
         fish.clock.sync()
-        assert "after flashing it has none" in (key_warning(fish) or "")
+        assert "Flashing erases it" in (key_warning(fish) or "")
 
 
 def test_learning_goes_on_where_it_was(due: Due, taught: Content, image: Path) -> None:

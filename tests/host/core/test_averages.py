@@ -172,7 +172,7 @@ def test_a_mean_with_kd_is_refused(fish: Fish) -> None:
         fish.arm()
     assert refused.value.name == "BAD_LAW"
     assert "ILC_KIND 1" in refused.value.remedy
-    with pytest.raises(InputError, match="mean has a kd"):
+    with pytest.raises(InputError, match="law does not fit"):
         empty = Memory(1, np.zeros(2, np.float32), 0, np.zeros(2, np.float32), 0.0, 0)
         learner = LawMemory.of(empty, Averaging(MEAN))
         learner.learn(Law(kd_rad_s2_m=0.1), [0.1, 0.1], [True, True], True)

@@ -194,7 +194,7 @@ def test_a_board_that_began_anew_is_another_epoch() -> None:
     assert band.max_median_m_s == pytest.approx([0.05, 0.03])
     assert noise_of(rows, [*day, *anew])[1] == 0
     (told,) = _remarks("", rows, [*day, *anew], None)
-    assert told.startswith("the board began anew with trial 1 (0003.ulg)")
+    assert told.startswith("the board restarted learning with trial 1 (0003.ulg)")
     at_first = made_rows(day[0], anew[0])
     assert [row.epoch for row in at_first] == [0, 1]
     given_back = made_rows(*day, swum_by(1, 4, 0.01, "restored"))  # another board
@@ -292,7 +292,7 @@ def test_a_file_that_only_the_journal_knows_is_missed(recorded: Experiment, tmp_
     sums.chmod(0o644)
     kept = [line for line in sums.read_text().splitlines() if not line.endswith(gone)]
     sums.write_text("\n".join(kept) + "\n")
-    assert f"raw/{gone} is in the journal and not in the folder" in copy.raw_problems()
+    assert f"raw/{gone} is in the event log and not in the folder" in copy.raw_problems()
 
 
 def test_what_a_simulated_board_swam_is_simulated_whatever_the_settings_say(

@@ -420,11 +420,11 @@ def test_words_after_a_rollback_are_true(
         assert "rolled back to trial 1's input, which the model's plan replaces" in said
         assert recorded == pytest.approx(0.3)
         return
-    assert "the best amplitudes swim next" in said and "replaces" not in said
+    assert "the best input is next" in said and "replaces" not in said
     assert said.endswith("rolled back to trial 1's input")
     assert recorded.tolist() == best.tolist()
     again = learn_with_model(fish, None, Identified.load(identified_file), False)  # nothing pending
-    assert "the best amplitudes swim next" in printed(again)
+    assert "the best input is next" in printed(again)
     assert fish.amplitudes().values.tolist() == best.tolist()
 
 

@@ -1,6 +1,7 @@
 """A ground station connects: QGroundControl's requests in its order and with its time-outs
 (data/qgc_connect.jsonl, by its InitialConnectStateMachine, StandardModes, FTPManager and
-PlanManager; releases differ in two steps, here are both), against the simulated board on a line of 115 200 baud, in virtual time."""
+PlanManager; releases differ in two steps, here are both), against the simulated board on a line of
+115 200 baud, in virtual time."""
 
 from __future__ import annotations
 

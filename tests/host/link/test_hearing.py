@@ -119,7 +119,9 @@ def through_a_factory_module() -> Recorded:
 
 
 REMEDY = "Raise it with: tailbeat board bluetooth"
-WORDS = "bytes come on /dev/rfcomm0 but no MAVLink: the radio module is probably still at 9600 baud"
+WORDS = (
+    "bytes come on /dev/rfcomm0 but no MAVLink: the Bluetooth module is probably still at 9600 baud"
+)
 
 
 def test_whoever_connects_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

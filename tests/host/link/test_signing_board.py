@@ -82,7 +82,7 @@ def keyed(board: SimBoard) -> SimBoard:
 
 def test_the_key_comes_by_wire_only(board: SimBoard) -> None:
     stranger = Stock(board, RADIO)
-    assert "wired port" in stranger.setup(KEY, TODAY)
+    assert "USB serial" in stranger.setup(KEY, TODAY)
     assert stranger.command(CLEAR) == (mavlink.MAV_RESULT_ACCEPTED, 0)
     assert "key set" in Stock(board, CONSOLE).setup(KEY, TODAY)
     assert stranger.command(CLEAR) == (DENIED, 62)

@@ -160,7 +160,7 @@ def test_uploaded_speeds_are_told_not_counted(tmp_path: Path) -> None:
     assert found.not_recomputed == [(n, "its speeds were uploaded") for n in (1, 2)]
     assert found.recomputed == []
     assert found.learned == [1]
-    assert found.not_learned == [(2, "no trial swam after it")]
+    assert found.not_learned == [(2, "no trial was executed after it")]
     assert found.identical
 
 
@@ -287,7 +287,7 @@ def test_redo_tells_what_is_not_known(tmp_path: Path) -> None:
     assert "- simulated plant: unknown\n- seed: unknown\n" in text
     assert "tailbeat sim, with the plant and the seed of then (unknown)" in text
     assert "iteration 1, complete, rested 31 s, pose by camera\n" in text
-    assert "options are not known (`--rest`, `--until`" in text
+    assert "options (`--rest`, `--until`" in text
     made.journal.add("typed", command="tailbeat trial run --until 3")
     text = write_redo(made).read_text()
     assert ": `tailbeat trial run --until 3`\n" in text and "are not known" not in text

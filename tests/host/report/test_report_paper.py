@@ -389,7 +389,7 @@ def test_without_repeats_no_noise_is_claimed() -> None:
     analysis = made.series([0.06, 0.03], noise_m_s=math.nan)
     figure = contraction.draw([analysis], PAPER)
     assert bars(figure, 0, "noise") == [] and "noise" not in words(figure)
-    assert "noise alone causes is unknown" in contraction.caption([analysis])
+    assert "disturbances alone cause is unknown" in contraction.caption([analysis])
 
 
 def test_comparison_shows_the_swims_that_count(analyses: list[Analysis]) -> None:

@@ -230,7 +230,7 @@ def test_a_swim_that_somebody_stopped_is_proposed_to_be_dropped_whenever_asked(
     ("stopped", "wanted"),
     [
         (BY_HAND, Decision("discard", BY_HAND.text)),
-        (StopReason(StopKind.DISTANCE, "room: it has swum 1.9 m"), Decision("keep")),
+        (StopReason(StopKind.DISTANCE, "room: travel 1.9 m"), Decision("keep")),
     ],
 )
 def test_who_stopped_it_is_known_after_a_restart(

@@ -127,7 +127,7 @@ def test_a_sluggish_fish_needs_more_than_its_top_speed() -> None:
     ("given", "why"),
     [
         ((None, STRAIGHT, False), "tailbeat session commission"),
-        ((known(), None, False), "nothing tells whether it swims straight"),
+        ((known(), None, False), "its heading error is unknown"),
         ((known(), CROOKED, False), "tailbeat session trim"),
         ((known(), STRAIGHT, True), "rolled back"),
     ],
@@ -151,7 +151,7 @@ def test_the_servo_ends_it() -> None:
 
 def test_the_tank_ends_it() -> None:
     short = DEFAULTS | {"TANK_LEN_M": 2.3}
-    assert "no room for more" in stays(limit_offer(short, THESIS, known(), STRAIGHT))
+    assert "tank clearance is used up" in stays(limit_offer(short, THESIS, known(), STRAIGHT))
     unchecked = DEFAULTS | {"TANK_LEN_M": 0.0}
     assert isinstance(limit_offer(unchecked, THESIS, known(), STRAIGHT), LimitIncrease)
 
@@ -344,7 +344,7 @@ def test_status_before_and_after_a_swim(
     lines = words(status_of(fish, experiment))
     assert any("no trial on it yet" in line for line in lines)
     assert "learning    0 trials, nothing learned yet" in lines
-    assert lines[-1].startswith("limits      AMP_MAX_RAD stays 0.50: nobody knows yet")
+    assert lines[-1].startswith("limits      AMP_MAX_RAD stays 0.50: the amplitude that")
 
 
 def test_at_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

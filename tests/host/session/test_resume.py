@@ -210,7 +210,7 @@ def test_two_that_learned_apart_are_not_mixed(experiment: Experiment, pool: Pool
     assert mine.iteration == 5
     apart = _record_with(bytes(record), last_trial=2, iteration=9)
     fish.upload_learned(apart)
-    with pytest.raises(InputError, match="both learned without each other"):
+    with pytest.raises(InputError, match="both learned, separately"):
         restore(fish, experiment)
     assert fish.learned_record() == apart
     held = held_state(experiment)
@@ -715,4 +715,4 @@ def test_words_for_people(swapped: Fish, experiment: Experiment) -> None:
 
     lines = _restored_lines(found, experiment).splitlines()
     assert lines[0].startswith("given back, as") and "ILC_LEAD 1.5" in lines[0]
-    assert "iteration 5 swims next, 8.3" in lines[-1]
+    assert "iteration 5 is next, 8.3" in lines[-1]

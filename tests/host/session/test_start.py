@@ -327,8 +327,8 @@ EXPLAINED = {
     "reference": "(the speed to learn)",
     "tail beat": "(one a second)",
     "AMP_MAX_RAD": "(the largest amplitude of the tail)",
-    "error bound": "nothing gets a smaller largest error",
-    "trial": "one run along the reference",
+    "error bound": "no input has a smaller largest error",
+    "trial": "the fish follows the reference",
     "model-based": "planned on this computer",
 }
 KEYS_MAX, TERMS_MAX = 12, 8

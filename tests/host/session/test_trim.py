@@ -227,7 +227,7 @@ def test_a_trim_that_was_broken_off_is_put_back_by_the_next(
         with pytest.raises(Killed):
             find_centre(learned, Somebody(fail))
     assert learned.params.get(CENTRE).value != 1500
-    with pytest.raises(InputError, match="executes a run"):
+    with pytest.raises(InputError, match="executes a trial"):
         find_centre(learned, Somebody())
     while learned.status().state not in ("IDLE", "ABORTED"):
         learned.link.run(1.0)

@@ -101,8 +101,8 @@ class TankCameraOptions(CameraOptions):
     """Of commands that also stop a fish before it meets a wall."""
 
     wall: float | None = opt(
-        "Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never;"
-        " default: where it can just still stop, by its drag.",
+        "Stop a fish of 0.08 m/s at this distance from a wall, slower ones later; 0 = never."
+        " Default: where it can just still stop, by its drag.",
         "M",
         min=0.0,
         max=2.0,

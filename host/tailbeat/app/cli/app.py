@@ -24,10 +24,10 @@ _LOGBOOK = ("--logbook", "--library")
 _NEGATIVE_VALUES = {"ignore_unknown_options": True}
 
 GROUPS = {
-    "board": Entry("Check, arm and stop the board; its firmware, key and radio", CONNECT),
+    "board": Entry("Check, arm and stop the board; its firmware, key and Bluetooth", CONNECT),
     "board key": Entry("The key that a board accepts commands with, and who has it", was="key"),
     "board imu": Entry("The IMU: its state, its settings, raw frames", default="status", was="imu"),
-    "session": Entry("A day at the tank: commission, trim, identify, resume", RUN),
+    "session": Entry("A session at the tank: commission, trim, identify, resume", RUN),
     "trial": Entry("Run a trial; list, pull and show the logs", RUN),
     "experiment": Entry("The folder of a series: notes, progress, compare, export", ANALYSE),
     "params": Entry("The board's parameters", SET_UP),
@@ -172,8 +172,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     help="A robotic fish learns to track a speed profile.\n\n"
-    "First steps: 'tailbeat sim demo' shows it in simulation; 'tailbeat sim' serves a simulated "
-    "fish; 'tailbeat start' leads through the whole job with any fish.",
+    "First steps: 'tailbeat sim demo' shows it in simulation. 'tailbeat sim' serves a simulated "
+    "fish. 'tailbeat start' leads through a whole session with any fish.",
 )
 
 

@@ -42,8 +42,8 @@ def bluetooth_(
 ) -> Output:
     """Bring an HC-05 or HC-06 to 115200 baud.
 
-    Take the module out of the fish, wire it to a 3.3 V USB-serial adapter and power it up with its
-    KEY (EN) pin high. Settings that are right already are not changed.
+    Take the module out of the fish and wire it to a 3.3 V USB-serial adapter. Power it up with
+    its KEY (EN) pin high. Settings that are right already are not changed.
 
     Example: tailbeat board bluetooth /dev/ttyUSB0 --name fish --pin 4711
     """
@@ -74,7 +74,7 @@ def arm(fish: ConnectedFish) -> Output:
     """
     fish.arm()
     status = fish.status()
-    return Output(status, f"armed: iteration {status.iteration} swims next")
+    return Output(status, f"armed: iteration {status.iteration} is next")
 
 
 def disarm(fish: ConnectedFish) -> Output:

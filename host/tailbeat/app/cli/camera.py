@@ -51,6 +51,7 @@ from tailbeat.sensors.camera.source.open import SourceOptions, open_source, read
 from tailbeat.sensors.camera.source.picture import PictureSource
 from tailbeat.sensors.camera.tracking.positions import read_positions
 from tailbeat.sensors.camera.tracking.track import Progress
+from tailbeat.sim.config import PLANTS
 
 _SIZE_MIN_PX, _SIZE_MAX_PX = 64, 8192
 
@@ -73,7 +74,7 @@ def render(
         default="thesis",
         by=named_reference,
     ),
-    plant: str = opt("Model of the fish.", "tank|thesis", default="tank"),
+    plant: str = opt("Model of the fish.", "|".join(PLANTS), default="tank"),
     seed: int = opt("Same seed, same film.", min=0, default=1),
     fps: float = opt("Pictures per second.", min=1, max=240, default=25),
     size: tuple[int, int] = opt("Of the picture, pixels.", "WxH", default="1280x720", by=_size),
@@ -209,7 +210,7 @@ def _track_text(found: FilmAnalysis, document: dict[str, Any], folder: Path) -> 
     over = "" if measured == beats else f" over the {measured} measured beats of {beats}"
     sigma = document["sigma_median_m_s"]
     straight, trial = found.straight(), found.trial
-    way = f"speeds are along its way, {math.degrees(found.curve.direction_rad):+.1f} degrees"
+    way = f"speeds are along its heading, {math.degrees(found.curve.direction_rad):+.1f} degrees"
     return lines_of(
         f"{found.track.name}: {document['pictures']} pictures, the fish seen in "
         f"{document['seen'] / document['pictures']:.1%}; "
@@ -441,6 +442,6 @@ def _camera_text(made: Calibrated) -> str:
         return f"{width}x{height}, taken to be free of distortion"
     return (
         f"{width}x{height}; {len(found.used)} pictures of the board, {found.rms_px:.2f} px RMS, "
-        f"corners in {found.covered * 100:.0f} % of the picture; focal length "
+        f"corners in {found.covered * 100:.0f} % of the picture\nfocal length "
         f"{made.calibration.camera_matrix[0, 0]:.0f} px, sigma {found.focal_sigma * 100:.1f} %"
     )

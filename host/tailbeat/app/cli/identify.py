@@ -77,11 +77,11 @@ class TableFish:
 class RunOptions:
     """How the runs are done."""
 
-    yes: bool = opt("Neither wait nor ask before a run.")
+    yes: bool = opt("Neither wait nor ask before a trial.")
     margin_m: float = opt(
         "Of the tank's length, left free, m.", name="--margin", min=0.0, default=0.15
     )
-    rest: float = opt("Rest before each run.", "S", min=0.0, max=3600.0, default=30.0)
+    rest: float = opt("Rest before each trial.", "S", min=0.0, max=3600.0, default=30.0)
 
     @property
     def alone(self) -> bool:
@@ -106,10 +106,10 @@ def identify(
 ) -> Output:
     """Measure the fish: drag, speed over amplitude, dead zone, delay.
 
-    Runs three cruises and a coast-down, gentlest first, within the tank; then the board gets its
-    learned data back. At a terminal each run begins with the preflight checks of 'trial run' (rest,
-    pose, still water, countdown) and any key stops the tail; --yes leaves them out. With --table,
-    --trials or --experiment the fish does not swim.
+    Runs three cruises and a coast-down, gentlest first, within the tank. Then the board gets its
+    learned data back. At a terminal each trial begins with the preflight checks of 'trial run'
+    (rest, pose, still water, countdown), and any key stops the tail; --yes leaves them out. With
+    --table, --trials or --experiment the fish does not swim.
 
     Example: tailbeat session identify --plot fish.png
     """
@@ -192,7 +192,7 @@ def _found(
     wait = not (asked.yes or fish.info().simulated)
     if wait and json_asked.get():
         raise InputError(
-            "nobody can be asked before each run with --json.",
+            "nobody can be asked before each trial with --json.",
             "Add --yes when the fish is free to swim four times by itself.",
         )
     by_hand = by_hand and not asked.alone

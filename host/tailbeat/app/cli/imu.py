@@ -175,7 +175,7 @@ def decode(
         "FILE|PORT",
     ),
     csv: Path | None = opt(
-        "Write all values there; of several kinds of messages each gets its own file, "
+        "Write all values there. Each kind of message gets its own file if there are several, "
         "OUT with the kind in its name.",
         "OUT",
     ),

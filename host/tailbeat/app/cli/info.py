@@ -63,7 +63,7 @@ def _info_text(who: str, status: BoardStatus, imu: str, health: dict[str, int | 
         f"state      {status.state}, battery {status.battery_text}",
         fault.number and f"stopped    {fault.meaning}. {fault.remedy}",
         f"reference  {_reference(status)}",
-        f"iteration  {status.iteration} swims next, as trial {status.next_trial}",
+        f"iteration  {status.iteration} is next, as trial {status.next_trial}",
         f"imu        {imu}",
         best is not None and f"best       {mm(best)} mm/s at iteration {status.best_iteration}",
         pending is not None and f"pending    trial {pending}: learn from it or discard it",

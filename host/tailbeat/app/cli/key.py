@@ -60,7 +60,7 @@ def _status_text(found: KeyStatus) -> str:
     elif found.trust == "missing":
         key = "only on the board, not on this computer: tailbeat board key import"
     else:
-        key = "none: anyone in radio range can move it: tailbeat board key set"
+        key = "none: anyone in Bluetooth range can move it: tailbeat board key set"
     counts = ", ".join(f"{n.removeprefix('refused_')} {v}" for n, v in found.refused.items())
     return lines_of(
         f"board      {found.board or 'only for authenticated hosts'}",
@@ -96,7 +96,7 @@ def erase(fish: FishWithoutNotice) -> Output:
     """
     key = erase_key(fish)
     document = {"erased": None if key is None else key.public()}
-    return Output(document, "the board has no key: anyone in radio range can move its tail")
+    return Output(document, "the board has no key: anyone in Bluetooth range can move its tail")
 
 
 def export(

@@ -51,7 +51,7 @@ from tailbeat.session.presenter import result
 def learn(
     number: int | None = arg("Default: the pending one.", "[TRIAL]", min=1, max=TRIAL_MAX),
     dry_run: bool = opt("Compute the same numbers here; change nothing."),
-    restore_best: bool = opt("Swim the best amplitudes so far next."),
+    restore_best: bool = opt("Use the best input so far in the next trial."),
     law: Literal["p", "model"] = opt(
         "model: this computer plans the next.", "p|model", default="p"
     ),
@@ -84,7 +84,7 @@ def _restore_best(fish: Fish) -> Output:
     restore_best_and_log(fish)
     held = fish.amplitudes()
     document = {"restored": True, "iteration": held.iteration, "amplitude_rad": held.values}
-    return Output(document, f"the best amplitudes swim next, as iteration {held.iteration}")
+    return Output(document, f"the best input is next, as iteration {held.iteration}")
 
 
 def _learn(fish: Fish, number: int | None) -> Output:
@@ -103,15 +103,15 @@ def _learn(fish: Fish, number: int | None) -> Output:
 
 
 _ANEW = (
-    "trial numbers come again: the trial library holds trials of this board from before its "
-    "restart; for another fish name another folder in TAILBEAT_LOGBOOK"
+    "trial numbers repeat: the trial library holds trials of this board from before its "
+    "restart. For another fish, name another folder in TAILBEAT_LOGBOOK"
 )
 
 
 def learn_with_model(
     fish: Fish, number: int | None, identified: Identified | None, dry_run: bool
 ) -> Output:
-    """The pending trial, if there is one, then the amplitudes that swim next."""
+    """The pending trial, if there is one, then the next feedforward input."""
     pending = fish.status().pending_trial
     if number not in (None, pending):
         raise refusal(NO_TRIAL)
@@ -199,7 +199,7 @@ def _text(step: ModelStep, report: LearnReport | None, following: NextInput | No
     parts += ["worse twice"] if report is not None and report.rolled_back else []
     parts += [following.words] if following is not None and following.words else []
     if following is None or following.upload:
-        word = "would swim next" if following is None else "next"
+        word = "would be next" if following is None else "next"
         expected = _expected(" max|e|", proposal.predicted_max_abs_error_m_s)
         parts.append(f"{word}{expected} mm/s")
         held = proposal.limited_beats

@@ -52,8 +52,8 @@ def _bound_lines(around: ErrorBoundRange, assumed: Sequence[str]) -> list[str]:
     found, (low, high) = around.bound, around.minimax_m_s
     lines = [
         f"error bound (least squares) {mm(found.lsq_max_abs_m_s)} mm/s, minimax"
-        f" {mm(found.minimax_m_s)} ({mm(low)} to {mm(high)}): on the identified model no input"
-        " does better than that",
+        f" {mm(found.minimax_m_s)} ({mm(low)} to {mm(high)}): no input leaves less on the"
+        " identified model",
         *map(_spot_text, found.spots),
     ]
     if assumed:
@@ -145,8 +145,8 @@ def _refusal(problems: list[ReferenceProblem]) -> InputError | None:
 def upload(
     reference: What,
     warm_start: str | None = opt(
-        "Begin with what was learned along OLD, a reference of the same shape: board (what"
-        " it holds now), a trial's file, an experiment's folder, or a reference.",
+        "Begin with what was learned along OLD, a reference of the same shape. OLD is board (what"
+        " it holds now), a trial's file, an experiment's folder or a reference.",
         "OLD",
     ),
     dry_run: bool = opt("With --warm-start: print the amplitudes; change nothing."),
@@ -203,7 +203,7 @@ class _CheckedAgainst:
 
 def check(
     reference: What,
-    suggest: bool = opt("Write the nearest reference the fish can follow."),
+    suggest: bool = opt("Write the nearest feasible reference."),
     identified: IdentifiedFile = None,
     out: Path | None = opt("CSV for --suggest; default: NAME-feasible.csv."),
     amp_max: float | None = opt("Largest amplitude; default: the board's.", "RAD"),
@@ -244,7 +244,7 @@ def check(
         suggestion.to_csv(path)
         document["suggestion"] = _suggestion_document(suggestion, path)
         return Output(document, lines_of(lines, _suggestion_lines(suggestion, path)))
-    hint = f"a reference this fish can follow: {command_typed()} --suggest" if beyond else None
+    hint = f"a feasible reference for this fish: {command_typed()} --suggest" if beyond else None
     refused = _refusal(problems)
     return Output(document, "" if refused else lines_of(lines, hint), error=refused)
 

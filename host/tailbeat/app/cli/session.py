@@ -172,9 +172,9 @@ def _proved(found: Design) -> str:
             f"(norm {found.input_ratio:.2f})"
         )
     return (
-        "of the saturated law, for small errors outside the dead zone: one step leaves at most "
-        f"{found.input_ratio:.2f} of the amplitudes' distance from the fixed point when the "
-        f"{found.input_beats} beats of that speed are off; not that all further steps do"
+        "for the saturated law and small errors outside the dead zone, in the "
+        f"{found.input_beats} beats of that speed. One step leaves at most {found.input_ratio:.2f} "
+        "of the amplitudes' distance from the fixed point. Later steps are not covered"
     )
 
 
@@ -193,9 +193,9 @@ def commission(
 ) -> Output:
     """Check, trim and measure a new fish, offer it a limit, design its law.
 
-    Three short runs or more, from the careful defaults of the board. The amplitude limit is offered
-    only up to what a run went without a fault, and the number is to be typed. Asks before every
-    run.
+    Runs three or more short trials, from the careful defaults of the board. The amplitude limit is
+    offered only up to what a trial reached without a fault, and you type the number. Asks before
+    every trial.
 
     Example: tailbeat session commission --reference thesis --camera 0 --calibration tank.json
     """
@@ -250,7 +250,7 @@ def resume(
         operator = _operator(*there, yes, repeats=True)
         given = Options(wanted=rest or PreflightLimits(), typed=command_typed())
         shift = repeat_best(fish, experiment, operator, given, live.camera, live.guard)[1]
-    text = f"{shift.words}\nthe amplitudes of iteration {restored.iteration} swim next, as before"
+    text = f"{shift.words}\nthe input of iteration {restored.iteration} is next, as before"
     document |= {"trial": shift.repeat_trial, "shift": shift}
     return Output(document, text, status=int(shift.remedy in ("trim", "identify")))
 
@@ -315,7 +315,7 @@ def _restored_lines(found: Restored, experiment: Experiment) -> str:
     return lines_of(
         what if given else "the board lacks nothing",
         [f"tailbeat: {note}" for note in found.notes],
-        f"{experiment.name}: iteration {found.iteration} swims next, {found.battery_v:.2f} V",
+        f"{experiment.name}: iteration {found.iteration} is next, {found.battery_v:.2f} V",
         trial is not None and f"trial {trial} waits on the board and is left alone",
     )
 

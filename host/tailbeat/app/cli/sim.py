@@ -25,10 +25,11 @@ from tailbeat.core import law as laws
 from tailbeat.core.csv import read_column
 from tailbeat.core.printable import amplitude_rows, mm
 from tailbeat.core.selftest import run_selftest
-from tailbeat.sim.board import SimBoard, SimulatedBoard
+from tailbeat.sim.board import PLANTS, SimBoard, SimulatedBoard
 from tailbeat.sim.emulated import EmulatedBoard
 from tailbeat.sim.server import Addresses, SimServer, parse_listen
 
+PLANT_NAMES = "|".join(PLANTS)
 Set = Annotated[
     list[str] | None, opt("A value of the simulator, SI; repeatable.", "KEY=VALUE", name="--set")
 ]
@@ -38,7 +39,7 @@ Set = Annotated[
 class ServeOptions:
     """The simulated world, and where it is served."""
 
-    plant: str = opt("Model of the fish and the water.", "tank|thesis", default="tank")
+    plant: str = opt("Model of the fish and the water.", PLANT_NAMES, default="tank")
     seed: int | None = opt(
         "Same seed, same board, same run, bit for bit; default: disturbances of 1, and a"
         " board of its own.",
@@ -72,7 +73,7 @@ class ServeOptions:
 
 
 def demo(
-    plant: str | None = opt("Model of the fish and the water; default: tank.", "tank|thesis"),
+    plant: str | None = opt("Model of the fish and the water; default: tank.", PLANT_NAMES),
     gain: float = opt("Learning gain, rad s/m.", default=4.0),
     lead: float | None = opt("Beats, in halves; default 0 (thesis) or 1 (tank).", min=0),
     trials: int = opt("Runs of each law.", min=1, default=8),

@@ -65,8 +65,8 @@ def thesis(
 ) -> Output:
     """Recompute the thesis's examples with the board's laws, and judge its claims.
 
-    Claims are judged at the thesis's own settings. Options change the run that is printed; an
-    example that does not know one keeps its own.
+    Claims are judged at the thesis's own settings. Options change the computation that is printed;
+    an example that does not know one keeps its own.
 
     Example: tailbeat sim thesis 8 --figures figures
     """

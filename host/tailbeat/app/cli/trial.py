@@ -187,7 +187,7 @@ def discard(
     fish: ConnectedFish,
     number: int | None = arg("Default: the pending one.", "TRIAL", min=1, max=TRIAL_MAX),
     repeat: bool = opt("It repeats an input: count it for the noise."),
-    reason: str = opt("Why, for the experiment's journal.", "TEXT", default=""),
+    reason: str = opt("Why, for the experiment's event log.", "TEXT", default=""),
 ) -> Output:
     """Drop the pending trial without learning from it; its log stays.
 
@@ -200,7 +200,7 @@ def discard(
     discard_and_keep(fish, number, repeat, reason)
     status = fish.status()
     what = "kept as a repeat, not learned from" if repeat else "discarded"
-    return Output(status, f"{what}; iteration {status.iteration} swims next")
+    return Output(status, f"{what}; iteration {status.iteration} is next")
 
 
 def speeds(

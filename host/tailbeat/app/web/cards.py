@@ -58,7 +58,7 @@ class ReferenceCard:
         ):
             ui.label(
                 "The desired speed of each beat. Type thesis, or trapezoid:0.06,8,20 (0.06 m/s, 8 s"
-                " up and down, 20 s between), or choose a CSV file with the columns t_s,v_m_s."
+                " up and down, 20 s between). Or choose a CSV file with the columns t_s,v_m_s."
                 " Learning restarts."
             ).classes("hint")
             with ui.element("div").classes("line").style("width:100%"):
@@ -182,7 +182,7 @@ def _limit_line(now: PageState) -> str:
         return "Not known yet."
     return (
         f"The tail beats {now.amplitude_max_rad:.2f} rad to either side at most. A larger limit is"
-        " accepted only up to what this fish executed in a run."
+        " accepted only up to what this fish reached in a trial."
     )
 
 

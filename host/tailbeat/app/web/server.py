@@ -239,7 +239,7 @@ _LATER = Reply(
     HTTPStatus.SERVICE_UNAVAILABLE,
     f'<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="{_AGAIN_S}">'
     '<meta name="viewport" content="width=device-width"><title>tailbeat</title>'
-    "<p>tailbeat: many ask for the page at once; it is asked for again in a moment.",
+    "<p>tailbeat: too many requests at once; the page reloads in a moment.",
     "text/html",
     ((b"retry-after", str(_AGAIN_S).encode()),),
 )

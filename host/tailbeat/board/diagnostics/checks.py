@@ -41,10 +41,10 @@ _FRAMING_MANY = 16
 _SENT_CHARS = 40
 _LITTLE_V = 0.2
 _RADIO_REMEDY = "Bring the antenna out of the water, and closer; check the cable and its ground."
-_BY_WIRE = "over the wired port: tailbeat board key set"
+_BY_WIRE = "over USB serial: tailbeat board key set"
 _VERSION_REMEDY = (
-    "Flash the firmware that came with this tool (make firmware, then: tailbeat board flash), or"
-    " install the tool that came with the firmware."
+    "Flash the firmware that came with this tool: 'tailbeat board flash'."
+    " Or install the tool that came with the firmware."
 )
 
 _UNKNOWN = WARNING, "not known: the board did not say", "See what 'firmware' and 'link' above say."
@@ -204,14 +204,14 @@ def _key(evidence: BoardEvidence, measured: Figures) -> Assessment:
     if key.lost is not None:
         return (
             PROBLEM,
-            f"the board does not sign, but this computer has its key {key.lost.fingerprint}: it was"
-            " erased, or somebody pretends to be this board",
+            f"the board does not sign, but this computer has its key {key.lost.fingerprint}. The"
+            " key was erased, or another device imitates this board",
             f"Set it again {_BY_WIRE}",
         )
     if key.trust == MISSING:
         return (
             PROBLEM,
-            "the board has a key that this computer has not, so it does not obey",
+            "the board has a key that this computer has not, so it rejects commands",
             "Bring the key: 'tailbeat board key export' where it was set, 'tailbeat board key "
             "import' here.",
         )
@@ -223,7 +223,7 @@ def _key(evidence: BoardEvidence, measured: Figures) -> Assessment:
         return WARNING if foreign else OK, text, ""
     if evidence.in_process:
         return OK, "none; nobody else reaches a board in this process", ""
-    return WARNING, "none: anyone in radio range can move this tail", f"Set one {_BY_WIRE}"
+    return WARNING, "none: anyone in Bluetooth range can move this tail", f"Set one {_BY_WIRE}"
 
 
 def _clock(evidence: BoardEvidence, measured: Figures) -> Assessment:
@@ -289,12 +289,12 @@ def _radio(evidence: BoardEvidence, measured: Figures) -> Assessment:
         return _UNKNOWN
     bad = int(evidence.health["radio_framing"])
     measured |= {"framing_errors": bad}
-    text = f"{bad} bytes with a bad stop bit on the radio's port"
+    text = f"{bad} bytes with a bad stop bit on the Bluetooth port"
     if bad < _FRAMING_MANY:
         return OK, text, ""
     if evidence.by_radio:
         return WARNING, text, "Check ground and wires between board and module."
-    text += ": the radio module there talks at another speed"
+    text += ": the Bluetooth module there uses another baud rate"
     return PROBLEM, text, f"Raise it to 115200 baud: {BLUETOOTH_SETUP}"
 
 

@@ -60,8 +60,8 @@ def require_quiet(fish: Fish, wipes: bool) -> None:
     critical_v = fish.params.get("BATT_CRIT_V").value
     if _NO_BATTERY_V < status.battery_v < critical_v:
         raise InputError(
-            f"the battery is at {status.battery_v:.2f} V, below BATT_CRIT_V ({critical_v:g} V);"
-            " a board that loses power while it is flashed has no firmware",
+            f"the battery is at {status.battery_v:.2f} V, below BATT_CRIT_V ({critical_v:g} V)."
+            " A board that loses power while it is flashed has no firmware",
             "Charge or unplug the battery.",
         )
     if wipes and status.pending_trial is not None:
@@ -77,8 +77,8 @@ def key_warning(fish: Fish) -> str | None:
     if trust_of(fish) != MISSING:
         return None
     return (
-        "the board has a key that this computer has not: after flashing it has none, and anyone in"
-        " radio range can move its tail"
+        "the board has a key that this computer does not have. Flashing erases it: then anyone in"
+        " Bluetooth range can move its tail"
     )
 
 

@@ -183,7 +183,7 @@ class _Flashing:
         if address is None:
             raise ConnectError(
                 "the board cannot be talked to, so what it holds cannot be saved",
-                "Plug in its programming port, say where it is with --connect, or add --no-keep:"
+                "Plug in its programming port, or name the port with --connect. Or add --no-keep:"
                 " then all that is stored on it is lost.",
             )
         self.on_step(0.0, "waiting for the board")

@@ -107,7 +107,7 @@ class StallTimer:
         if waited_s > link.patient(_STALLED_S) or silent_s > link.patient(_DEAD_S):
             raise LinkLostError(
                 f"{what} and then nothing for {waited_s:.0f} s on {link.transport.name}",
-                f"Check power, cable and radio, then {self._remedy}.",
+                f"Check power, cable and Bluetooth, then {self._remedy}.",
             )
 
 
@@ -137,7 +137,7 @@ _MEANINGS = {
 }
 _REMEDIES = {
     4: "Run the same command again; a pull goes on where it stopped.",
-    5: "Close the other program, or wait five seconds after its last word, and try again.",
+    5: "Close the other program, or wait five seconds after its last message, and try again.",
     9: "Wait until no trial runs, or see what is there: tailbeat trial list.",
     10: "See what is there: tailbeat trial list.",
 }

@@ -110,12 +110,12 @@ def caption(analyses: Sequence[Analysis]) -> str:
     """What the figure shows and where a ratio means nothing."""
     text = (
         "Contraction: max|e| of a kept trial over that of the last kept trial of the iteration "
-        "before, where its amplitudes are what the law learned from that; below 1 the error "
-        "shrank. "
+        "before. It is shown where the law learned the input from that trial; below 1 the error "
+        "decreased. "
     )
     known = [a for a in analyses if a.noise_freedom]
     if not known:
-        text += "No input was repeated, so the ratio that noise alone causes is unknown."
+        text += "No input was repeated, so the ratio that disturbances alone cause is unknown."
         return text + earlier_words(analyses)
     sigma = "; ".join(
         f"σ = {a.noise_m_s * 1e3:.1f} mm/s between repeats, t = {student_t(a.noise_freedom):.3g} "
@@ -124,5 +124,5 @@ def caption(analyses: Sequence[Analysis]) -> str:
     )
     return (
         f"{text}Grey: where 95 % of the ratios of two trials of one input lie, 1 ± t·√2·σ over the "
-        f"error before, {sigma}; a ratio in there proves nothing.{earlier_words(analyses)}"
+        f"error before, {sigma}. A ratio inside is not significant.{earlier_words(analyses)}"
     )

@@ -193,8 +193,8 @@ def caption(analyses: Sequence[Analysis]) -> str:
     rows = [row for analysis in analyses for row in analysis.last_rows]
     text = (
         f"Error per iteration over {len(rows)} trial{'s' * (len(rows) != 1)}{_left_out(rows)}. "
-        "Top: largest |e| over the beats; bottom: root of the mean square; e is the reference minus"
-        " the mean speed of a beat. Every trial is a point, trials of one iteration lie side by"
+        "Top: largest |e| over the beats; bottom: root of the mean square. e is the reference minus"
+        " the mean speed of a beat. Every trial is a point. Trials of one iteration lie side by"
         " side in "
         "the order they were executed; the line joins their medians"
     )
@@ -224,7 +224,7 @@ def _floor_words(analyses: Sequence[Analysis]) -> str:
         return ""
     fish = "simulated" if all(a.floor_by == "simulator" for a in known) else "identified"
     words = (
-        f" Error bound: the smallest max|e| of any input on the {fish} fish without noise; a "
+        f" Error bound: the smallest max|e| of any input on the {fish} fish without noise. A "
         "single trial can be below it"
     )
     if len(analyses) == 1 and math.isfinite(known[0].floor_lsq_m_s):

@@ -248,9 +248,9 @@ def check_stamps(t_s: F64, way_m: F64, name: str) -> None:
         return
     period_s = float(np.median(np.diff(t_s)))
     raise InputError(
-        f"{name} lacks pictures that its time stamps do not show: at {holes} of {steps} steps the "
-        f"fish jumps by {lacking / holes:.1f} more pictures' way, and the stamps stay "
-        f"{period_s * 1e3:.0f} ms apart; speeds would be {lacking / steps:.0%} too high",
+        f"{name} lacks pictures, and its time stamps do not show it. At {holes} of {steps} steps"
+        f" the fish jumps {lacking / holes:.1f} pictures further, while the stamps stay "
+        f"{period_s * 1e3:.0f} ms apart. Speeds would be {lacking / steps:.0%} too high",
         "Record with the camera's own time stamps, for example: tailbeat trial run --video, or "
         "ffmpeg with -use_wallclock_as_timestamps 1 and -fps_mode passthrough.",
     )

@@ -257,10 +257,10 @@ _ENOUGH_BYTES = 4 * 600  # without one message among them: the wrong speed
 _STEP_S = 0.01
 
 WIRING = (
-    "Check, in this order: the sensor has power and shares the ground with the adapter; its TX"
+    "Check that the sensor has power, and shares the ground with the adapter. Its TX"
     " goes to the adapter's RX. On a Rugged, pins 8 (TX) and 9 (RX) are port 2 with 3 V logic"
-    " levels, pins 2 and 3 are port 1 with RS-232 levels, and neither suits the other's adapter."
-    " An output may be off, or set to the other port (the first number of register 75): --config"
+    " levels. Pins 2 and 3 are port 1 with RS-232 levels; neither suits the other's adapter."
+    " An output may be off, or set to the other port (first number of register 75). --config"
     " sets one up."
 )
 
@@ -381,7 +381,7 @@ def _unheard(source: Source, heard_bytes: int, searched: bool, only: int | None)
         tried = " at any baud rate it knows"
     return SensorError(
         f"{heard_bytes} bytes came from {source.name} but no message of a VN-100{tried}",
-        "Check the ground, and that the levels fit: an RS-232 port wants an RS-232 adapter, a TTL"
+        "Check the ground and the levels: an RS-232 port needs an RS-232 adapter, a TTL"
         " port a 3.3 V one. Is the baud rate right, and is it a VN-100 at all?",
     )
 

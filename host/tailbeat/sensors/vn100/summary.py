@@ -262,8 +262,8 @@ def hints(
         )
     if summary.messages and all(s.duration_s is None for s in streams):
         found.append(
-            "Nothing here tells the time of its samples, so missing ones cannot be counted;"
-            " a binary output with TimeStartup does (--config sets one up)."
+            "The messages have no time of their samples, so missing ones cannot be counted."
+            " A binary output with TimeStartup has it (--config sets one up)."
         )
     return found
 
@@ -274,7 +274,7 @@ def _damage(counters: Counters, messages: int) -> list[str]:
         return []
     share = damaged / (damaged + messages)
     return [
-        f"{damaged} messages ({share:.1%}) have a wrong check and were dropped: look at ground,"
+        f"{damaged} messages ({share:.1%}) have a wrong checksum and were dropped. Look at ground,"
         " length and shielding of the line, or lower the baud rate."
     ]
 
@@ -288,8 +288,8 @@ def _strangers(summary: StreamSummary, counters: Counters, size_bytes: int) -> l
     clean = not counters.crc_failed and not counters.checksum_failed
     if clean and summary.messages and inside > _SKIPPED_WORTH_TELLING * size_bytes:
         found.append(
-            f"{inside} bytes between whole messages belong to none, though nothing is damaged:"
-            " something else is written in between (a logger's own format), or bytes were lost."
+            f"{inside} bytes between whole messages belong to none, though nothing is damaged."
+            " Another format is written in between (a logger's own), or bytes were lost."
         )
     return found
 

@@ -119,8 +119,8 @@ def _random_start_mean(study: Study) -> Found:
 def _random_start_better(study: Study) -> Found:
     late, early = ([expected(one, i) for one in _random_starts(study)] for i in (LATE, _EARLY))
     note = f"""Mean of sup |E{{e_i | u_i}}|, average and P-type (2.3) with zero fill and the same L,
-    at iteration {LATE} and at {_EARLY}. Superior would be a floor lower by a tenth. [24] is taken
-    to be the P-type."""
+    at iteration {LATE} and at {_EARLY}. Superior would be a final error lower by a tenth. [24] is
+    taken to be the P-type."""
     return Found(late[0] < _SUPERIOR * late[1], [*late, *early], note)
 
 
@@ -183,7 +183,7 @@ def _example2(study: Study) -> Found:
 
 @claim(
     EX2_SUBSTITUTE,
-    "Theorem 2.2: with sup |1 - p(t) L C(t) B(t)| < 1 the error goes to 0 on a "
+    "Theorem 2.2: sup |1 - p(t) L C(t) B(t)| < 1: error to 0 on a "
     "time-varying plant; 0.0058 within 80 iterations",
     "2.3, 2.4, example 2",
 )

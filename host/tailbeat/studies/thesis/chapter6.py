@@ -115,17 +115,17 @@ def _first_error(study: Study) -> Found:
 def _last_error(study: Study) -> Found:
     last = study.run().max_abs_error[-1]
     note = """Reading: 0.0371 or less. So small a figure hangs on the solver's own tolerance, so
-    that its digits cannot be had again."""
+    that its digits cannot be reproduced."""
     return Found(_near(last, _LAST_OF_TEXT, 0.02), last, note, last <= _LAST_OF_TEXT)
 
 
 @claim(HEAT, "each trial shrinks the error", "fig. 6.1")
 def _shrinks(study: Study) -> Found:
     ratios = [after / before for before, after in pairwise(study.run().max_abs_error[:6])]
-    return Found(max(ratios) < 1, ratios, "Ratios of iterations 1 to 5; then the floor of Q.")
+    return Found(max(ratios) < 1, ratios, "Ratios of iterations 1 to 5; then the bound by Q.")
 
 
-@claim(HEAT, "y^7 cannot be told from y^d by eye", "fig. 6.2")
+@claim(HEAT, "y^7 cannot be distinguished from y^d by eye", "fig. 6.2")
 def _by_eye(study: Study) -> Found:
     run = study.run()
     last, largest = run.max_abs_error[-1], run.traces.problem.reference.max()

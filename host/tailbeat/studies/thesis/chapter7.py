@@ -131,8 +131,8 @@ def _why_not() -> str:
     a_trial = abs(advection.RHO) * np.abs(np.diff(samples)).max() / heat.STEP
     held = samples[round(_AT / heat.STEP)] / _gain_at_rest()
     return (
-        "What flows out with the advection, 2(t + 1/2) y, leaves the input no integral; a D-law "
-        f"gives about {a_trial:.1f} per trial at most, and at t = {_AT:g} it takes an input of "
+        "What flows out with the advection, 2(t + 1/2) y, leaves the input no integral. A D-law "
+        f"gives about {a_trial:.1f} per trial at most. At t = {_AT:g} it takes an input of "
         f"{held:.0f} to hold y^d."
     )
 
@@ -177,7 +177,7 @@ def _nearly_no_advection(study: Study) -> Found:
     ]
     worst = [1 - errors[-1] / errors[0] for errors in runs]
     note = """delta = .25, phi clipped, varsigma = 0, 0.005, 0.01, and 2 as printed. Whether the
-    heat equation or one of these was run cannot be told."""
+    heat equation or one of these was run is unknown."""
     return Found(min(worst[:2]) >= _REDUCTION > worst[-1], worst, note)
 
 
@@ -203,7 +203,7 @@ def _factors(study: Study) -> list[float]:
 def _sharp(study: Study) -> Found:
     bound, first = advection.contraction_bound(advection.RHO, _SHORTEST), _factors(study)[0]
     note = f"""The bound and the first trial. theta(1, {_SHORTEST:g}) is
-    {float(advection.theta(1.0, _SHORTEST)):.1e}, but slow errors shrink by abs(1 + rho) =
+    {float(advection.theta(1.0, _SHORTEST)):.1e}, but slow errors decrease by abs(1 + rho) =
     {abs(1 + advection.RHO):.3f}."""
     return Found(bound < 2 * first, [bound, first], note)
 

@@ -56,7 +56,7 @@ class Tap:
         return data if self.on_read is None else self.on_read(data)
 
 
-REFUSED = "tailbeat: this board obeys only those who have its key. Bring the key"
+REFUSED = "tailbeat: this board accepts only signed messages. Bring the key"
 
 
 class Laptop:
@@ -164,12 +164,12 @@ def test_no_key_is_ever_shown(owner: Laptop) -> None:
 def test_not_over_the_radio(laptop: Callable[[str], Laptop]) -> None:
     owner = laptop("owner")
     line = owner.fails("board", "key", "set", "--connect", "radio")
-    assert line.startswith("tailbeat: the key can only be set over the wired port. Connect")
+    assert line.startswith("tailbeat: the key can only be set over USB serial. Connect")
     assert owner.json("board", "key", "list")["keys"] == []
     owner.text("board", "key", "set", "--connect", "wire")
     key = owner.key()
-    assert "wired port" in owner.fails("board", "key", "set", "--connect", "radio")
-    assert "wired port" in owner.fails("board", "key", "erase", "--connect", "radio")
+    assert "USB serial" in owner.fails("board", "key", "set", "--connect", "radio")
+    assert "USB serial" in owner.fails("board", "key", "erase", "--connect", "radio")
     assert owner.key().key == key.key
     assert owner.json("board", "key", "status", "--connect", "radio")["trust"] == "held"
 
@@ -538,7 +538,7 @@ def test_a_spoofed_status_fools_nobody(owner: Laptop) -> None:
             fish.arm()
         assert fish.status().state == real.state
         radio.on_read = lambda _: read(b"")  # the real board is out of reach
-        with pytest.raises(LinkLostError, match="not believed") as lost:
+        with pytest.raises(LinkLostError, match="is rejected") as lost:
             fish.arm()
         assert "key status" in lost.value.remedy
 
@@ -607,7 +607,7 @@ def test_the_wired_port_of_a_board_in_this_process() -> None:
     with Fish.connect("sim?port=console&seed=3") as fish:
         set_key(fish)
     for url in ("sim", "sim?port=radio"):
-        with Fish.connect(url) as fish, pytest.raises(Refused, match="wired port"):
+        with Fish.connect(url) as fish, pytest.raises(Refused, match="USB serial"):
             set_key(fish)
 
 
@@ -623,7 +623,7 @@ def test_notices_at_connect(
         monkeypatch.setattr("tailbeat.board.provision._SHORT_LIVED", ())  # it stands for a real one
         notice = connect_notice(fish)
         assert notice is not None
-        assert notice.startswith("no key: anyone in radio range can move this tail")
+        assert notice.startswith("no key: anyone in Bluetooth range can move this tail")
         assert "tailbeat board key set" in notice
 
 
@@ -636,7 +636,7 @@ def test_no_key_is_told_once_a_day(
 
     def is_told() -> bool:
         assert run(["params", "get", "ILC_LEAD", "--connect", "sim?seed=1"]) == 0
-        return "no key: anyone in radio range" in capsys.readouterr().err
+        return "no key: anyone in Bluetooth range" in capsys.readouterr().err
 
     assert [is_told(), is_told()] == [True, False]
     (day,) = (tmp_path / "logbook").glob("*/no-key-told")

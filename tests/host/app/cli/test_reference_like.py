@@ -328,7 +328,9 @@ def test_a_trial_that_swam_too_far_is_not_repeated(learned: Fish, monkeypatch: A
     far = replace(found, travel_m=4.0)
     monkeypatch.setattr(upload, "of_records", lambda *_: far)
     wanted = references.from_text(SLOWER)
-    with pytest.raises(InputError, match=r"would swim 4\.00 m, and the tank has room for 2\.64 m"):
+    with pytest.raises(
+        InputError, match=r"would travel 4\.00 m, and the tank clearance is 2\.64 m"
+    ):
         plan(learned, "board", wanted)
     learned.params.set("TANK_LEN_M", 0)
     assert plan(learned, "board", wanted).travel_m == pytest.approx(4.0, rel=2e-3)

@@ -503,7 +503,7 @@ def test_points_that_tell_no_plane(places: list[tuple[float, float]], words: str
     [[(y, x) for x, y in FOUR], [(x, -y) for x, y in FOUR], [FOUR[i] for i in (1, 0, 2, 3)]],
 )
 def test_mirrored_and_swapped_points(places: list[tuple[float, float]]) -> None:
-    with refused(r"seen in a mirror: x and y are swapped, y is counted to the left, or two points"):
+    with refused(r"mirrored. x and y are swapped, y is counted to the left, or two points"):
         by_hand(TRUE.pixels(FOUR), places)
 
 

@@ -231,7 +231,7 @@ WRONG: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "fold": (put("distortion", [-0.4, 0, 0, 0, 0]), "folds over before the picture's corners"),
     "singular": (singular, "the homography is singular"),
     "nothing": (put("tank_from_image", np.zeros((3, 3)).tolist()), "the homography is singular"),
-    "mirror": (mirrored, "seen in a mirror: x and y are swapped, or y is counted to the left"),
+    "mirror": (mirrored, "mirrored. x and y are swapped, or y is counted to the left"),
     "horizon": (put("tank_from_image", [[0.003, 0, 0], [0, 0.003, 0], [0, -0.01, 1]]), "horizon"),
     "millimetres": (put("tank_from_image", [[2.7, 0, 0], [0, 2.7, 0], [0, 0, 1]]), "2.7e+03 mm"),
     "edge-on": (put("tank_from_image", [[0.1, 0, 0], [0, 0.001, 0], [0, 0, 1]]), "no sense"),

@@ -379,7 +379,7 @@ def test_damage_is_told() -> None:
     data[5 * 64 + 30] ^= 0x10
     found = document(bytes(data) + line("VNYPR,+010.071,+000.278,-002.026").replace(b"071", b"081"))
     assert (found["crc_failed"], found["checksum_failed"], found["lost_frames"]) == (1, 1, 1)
-    assert "2 messages (9.5%) have a wrong check" in found["hints"][0]
+    assert "2 messages (9.5%) have a wrong checksum" in found["hints"][0]
 
 
 def test_sensor_errors_are_told_in_words() -> None:

@@ -99,7 +99,7 @@ def _length(calibration: Calibration, ends_px: F64) -> float:
 
 _PREDICTED_MAX_M = 0.02
 _NEEDS_BOARD = (
-    "needs the camera's focal length: from points in one plane alone nobody can tell how large "
+    "needs the camera's focal length. Points in one plane alone do not show how large "
     "things are above or below it"
 )
 
@@ -326,7 +326,7 @@ def _notes(
         lens = "" if found else "the lens bends lines (--board), or "
         notes.append(
             f"each point is predicted by the others only within {plane.predicted_m * 1e3:.0f} mm "
-            f"(good: below 10): {lens}a point is wrong; nothing here tells how wrong speeds are"
+            f"(good: below 10): {lens}a point is wrong. The error of the speeds is unknown"
         )
     return notes
 

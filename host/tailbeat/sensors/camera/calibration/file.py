@@ -226,9 +226,8 @@ class Calibration:
         worst = int(np.argmax(off_m))
         if not off_m[worst] <= ANCHOR_OFF_MAX_M:
             raise InputError(
-                f"in {name} anchor {both[worst]} is {off_m[worst] * 100:.0f} cm from where it was "
-                "when the camera was calibrated: camera or anchor has been moved, or it is another "
-                "camera",
+                f"in {name} anchor {both[worst]} is {off_m[worst] * 100:.0f} cm from its place at "
+                "calibration. The camera or the anchor has moved, or it is another camera",
                 "Put it back, or calibrate again: tailbeat camera calibrate",
             )
         return float(off_m[worst])
@@ -365,8 +364,8 @@ def _check_camera(calibration: Calibration, name: str) -> None:
         raise InputError(f"{name}: that camera matrix is no pinhole's", _AGAIN)
     if not (0 <= matrix[0, 2] <= width and 0 <= matrix[1, 2] <= height):
         raise InputError(
-            f"{name}: the lens's axis lies outside the picture: it is another camera's matrix, or "
-            "the pictures of the board said too little",
+            f"{name}: the lens's axis lies outside the picture. It is another camera's matrix, or "
+            "the pictures of the board are too few",
             "Take more pictures of the board, tilted, in all parts of the picture.",
         )
 
@@ -381,8 +380,8 @@ def _check_lens(calibration: Calibration, name: str) -> None:
         off_px = np.abs(lens.distorted(flat) - points).max()
     if folded or not off_px <= _INVERSE_PX:
         raise InputError(
-            f"{name}: the model of the lens folds over before the picture's corners (two places on "
-            "the water would be one pixel)",
+            f"{name}: the model of the lens folds over before the picture's corners: two places on "
+            "the water share one pixel",
             "Take more pictures of the board, with the board in the picture's corners, too.",
         )
 
@@ -399,16 +398,15 @@ def _check_plane(calibration: Calibration, name: str) -> None:
     depth = rows @ matrix[2]
     if not (np.sign(depth) == np.sign(depth[0])).all() or depth[0] == 0:
         raise InputError(
-            f"{name}: the plane's horizon lies in the picture: the camera does not look down on "
+            f"{name}: the plane's horizon lies in the picture. The camera does not look down on "
             "the tank, or the points are wrong",
             "Check the tank's points; the camera should look down.",
         )
     long, short, sign = _scale(matrix, rows, depth)
     if (sign < 0).any():
         raise InputError(
-            f"{name}: the tank would be seen in a mirror: x and y are swapped, or y is counted to "
-            "the left",
-            "x goes along the swim direction, y to the right of it (seen from above).",
+            f"{name}: the tank appears mirrored. x and y are swapped, or y is counted to the left",
+            "x goes along the swimming direction, y to the right of it (seen from above).",
         )
     sensible = short.min() >= _SCALE_M_PX[0] and long.max() <= _SCALE_M_PX[1]
     if not sensible or (long / short).max() > _STRETCH_MAX:

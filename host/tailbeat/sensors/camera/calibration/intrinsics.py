@@ -251,8 +251,8 @@ def _judged(
     tilted = int((found.tilts_rad > TILT_MIN_RAD).sum())
     if tilted < TILTED_MIN or not found.focal_sigma <= FOCAL_SIGMA_MAX:
         raise InputError(
-            "the focal length cannot be told from these pictures: the board was held the same way "
-            f"in nearly all of them ({tilted} are tilted)",
+            "the focal length cannot be determined from these pictures. The board was held the same"
+            f" way in nearly all of them ({tilted} are tilted)",
             "Tilt the board by about 30 degrees, each time to another side.",
         )
     unseen, covered = _coverage(views, size_px)

@@ -95,7 +95,7 @@ def _check_unambiguous(ways: list[_Without], names: list[str], fit: PlaneFit) ->
     blamed = " or ".join(names[way.left_out] for way in near)
     board = "; pictures of the board (--board) help to tell, and a lens that bends lines needs them"
     raise InputError(
-        f"the tank's points do not fit each other, and it cannot be told which is wrong: {blamed} "
+        f"the tank's points do not fit each other. The wrong one is unknown: {blamed} "
         f"(without either the others fit within {OUTLIER_M * 1e3:.0f} mm)",
         f"Measure these anew, or more points{'' if fit.rigid else board}.",
     )
@@ -108,7 +108,7 @@ _SPREAD_MIN = 0.01  # of the equations for a homography, smallest over largest s
 POSE_RMS_MAX_M = 0.01
 _POSE_OVER_PLANE = 1.5  # of points measured less well
 _SPAN_M_PX_MAX, _HEIGHT_MAX_M = 0.05, 20.0
-_RIGHT = "x goes along the swim direction, y to the right of it (seen from above)."
+_RIGHT = "x goes along the swimming direction, y to the right of it (seen from above)."
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ def _refuse_pose(rms_m: float, plane_rms_m: float, wrong: list[str]) -> None:
     raise InputError(
         f"{compared}the pictures of the board are of another camera, zoom or setting, or points "
         "are wrong",
-        "Take the pictures of the board with the camera as it hangs over the tank; check what was "
+        "Take the pictures of the board with the camera in its place over the tank. Check what was "
         "measured and typed.",
     )
 
@@ -319,7 +319,7 @@ def _check_seen_from_above(matrix: F64, flat: F64) -> None:
     depth = np.column_stack([flat, np.ones(len(flat))]) @ matrix[2]
     if not (np.linalg.det(matrix) * depth > 0).all():
         raise InputError(
-            "the tank's points are seen in a mirror: x and y are swapped, y is counted to the "
+            "the tank's points are mirrored. x and y are swapped, y is counted to the "
             "left, or two points are swapped",
             _RIGHT,
         )

@@ -127,8 +127,8 @@ def anchors_sheet(
             f"Take one of {ANCHOR_ID_MIN} to {ANCHOR_ID_MAX}.",
         )
     text = (
-        "Markers of the tank. Fix them where the camera sees them and the fish never comes; "
-        "measure x and y of their middles (the ticks point to it)."
+        "Markers of the tank. Fix them where the camera sees them and the fish never comes. "
+        "Measure x and y of their middles (the ticks point to it)."
     )
     ids = ANCHOR_IDS if number is None else (number,)
     return _several("anchors", text, ids, side_mm, paper)
@@ -137,8 +137,8 @@ def anchors_sheet(
 def ruler_sheet(side_mm: float = TANK_SIDE_MM, paper: Paper = "a4") -> Sheet:
     """The two ends of the ruler. Raises InputError for a side that does not fit."""
     text = (
-        "Ends of the ruler. Stick them on a straight stick, as far apart as fits into the tank; "
-        "measure from middle to middle (the ticks point to it)."
+        "Ends of the ruler. Stick them on a straight stick, as far apart as fits into the tank. "
+        "Measure from middle to middle (the ticks point to it)."
     )
     return _several("ruler", text, RULER_IDS, side_mm, paper)
 

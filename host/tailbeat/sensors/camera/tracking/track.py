@@ -116,7 +116,7 @@ def _no_marker(name: str, marker: Marker, pictures: int, other_ids: list[int]) -
     if family is None:
         return InputError(
             f"{name}: nothing moves in any of {pictures} pictures.",
-            "A blob must swim before a background that stands still; with a tag on the fish try "
+            "A blob needs a background that stands still. With a tag on the fish try "
             "--marker aruco or --marker apriltag.",
         )
     which = "" if marker.id is None else f" with id {marker.id}"

@@ -89,10 +89,10 @@ class MarkerSize:
         if expected_m is None or abs(seen_m / expected_m - 1) <= SIZE_ERROR_MAX:
             return
         raise InputError(
-            f"in {self._name} the marker is {seen_m * 1000:.1f} mm wide, it should be "
-            f"{expected_m * 1000:.1f} mm: the calibration, --marker-side or the marker's height "
+            f"in {self._name} the marker is {seen_m * 1000:.1f} mm wide, expected: "
+            f"{expected_m * 1000:.1f} mm. The calibration, --marker-side or the marker's height "
             "over the calibrated plane is wrong",
-            "Measure the printed black square; calibrate at the height at which the marker swims.",
+            "Measure the printed black square; calibrate at the height of the marker.",
         )
 
 
