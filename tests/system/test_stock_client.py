@@ -76,7 +76,7 @@ def test_a_stock_client_reads_parameters_and_pulls_a_trial(address: str, tmp_pat
     )
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout.splitlines()[-1])
-    assert (told["type"], told["autopilot"]) == (12, 0)
+    assert (told["type"], told["autopilot"]) == (0, 0)
     with Fish.connect(address) as fish:
         ours = fish.params.values()
     assert told["params"] == ours
