@@ -97,7 +97,9 @@ def message_code(root: Path) -> list[re.Pattern[str]]:
         re.compile(r"(?<![\w}])'[^'\n]*'(?!\w)|`[^`\n]*`|https?://\S+"),
         re.compile(rf"\btailbeat (?:{commands})\b(?: (?:{option}|{value}))*"),
         re.compile(rf"(?<![\w-]){option}"),
-        re.compile(r"\b[A-Za-z0-9]+_[A-Za-z0-9_]+\b|\b[\w-]+\.(?:json|toml|ulg|csv|txt|bin|elf)\b"),
+        re.compile(
+            r"\b[A-Za-z0-9]+_[A-Za-z0-9_]+\b|\b[\w-]+\.(?:json|toml|ulg|csv|txt|bin|elf|mp4|mkv|dat|html)\b"
+        ),
         re.compile(r"\{\}|<[a-z!/][^>]*>"),
     ]
 

@@ -22,7 +22,7 @@ except ImportError:
 TYPE_PARAMETER = 1  # COMP_METADATA_TYPE_PARAMETER
 _POLYNOMIAL = 0xEDB88320
 # The dictionary holds the whole text; pb 0 and no check save 28 bytes. Every reader knows them:
-# liblzma (MAVSDK), libarchive and xz-embedded (QGroundControl). MAVLink has checksums of its own.
+# liblzma (MAVSDK), libarchive and xz-embedded (QGroundControl). The image has its own checksum.
 _FILTERS = [
     {"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME, "pb": 0, "dict_size": 1 << 16}
 ]

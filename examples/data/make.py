@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import sys
 import tempfile
@@ -16,8 +17,11 @@ from tailbeat.experiment.folder import copy_state
 from tailbeat.session.collect import TrialLog, record_of
 from tailbeat.session.log import SessionLog
 from tailbeat.session.outcome import Decision
+from tailbeat.sim.world import Wires
 
 TRIALS = 3
+FILM_S, FILM_FPS, FILM_PX, MARKER_M = 2.0, 25.0, (640, 360), 0.12
+IMU_S = 3.0
 
 
 def make(folder: Path) -> None:
@@ -32,9 +36,36 @@ def make(folder: Path) -> None:
     with Fish.connect("sim:tank?seed=1") as fish:
         execute(fish, experiment, desired)
     (experiment.folder / ".write-lock").unlink()
+    (folder / "imu_rest.bin").write_bytes(imu_recording(IMU_S))
+    film(folder / "film.mp4")
     with tempfile.TemporaryDirectory() as made:
         log = export(experiment, ["ulog"], Path(made))[-1]
         shutil.copy(log, folder / f"annotated_{log.name}")
+
+
+def imu_recording(length_s: float) -> bytes:
+    """What a VN-100 with factory settings sends at rest."""
+    wires, recorded = Wires("tank", 1), b""
+    wires.imu_power(on=True, now_us=0)
+    while (due_us := wires.imu_due_us()) is not None and due_us < length_s * 1e6:
+        wires.rest(due_us)
+        recorded += wires.imu_read()
+    return recorded
+
+
+def film(path: Path) -> None:
+    """A fish with a marker that moves along a tank at 0.1 m/s (needs the extra camera)."""
+    from tailbeat.sensors.camera.render.painter import DrawnPose, Painter
+    from tailbeat.sensors.camera.render.scene import Scene
+    from tailbeat.sensors.camera.source.film import FilmWriter
+
+    painter = Painter(Scene(size_px=FILM_PX, marker_side_m=MARKER_M, pixel_noise=0.5, ripples=0.2))
+    with FilmWriter(path, FILM_PX, FILM_FPS) as writer:
+        for picture in range(round(FILM_S * FILM_FPS)):
+            t_s = picture / FILM_FPS
+            tail_rad = 0.5 * math.sin(2 * math.pi * t_s)
+            pose = DrawnPose(t_s, 0.1 * t_s, 0.0, 0.2 * tail_rad, tail_rad, 0.0, 0.1)
+            writer.add(painter.paint(pose, picture), t_s)
 
 
 def execute(fish: Fish, experiment: Experiment, desired: Reference) -> None:

@@ -95,7 +95,7 @@ def test_the_messages_of_the_repository_are_right() -> None:
         ("docs/how-to/trials.md", "tank's floor is", "lowest floor is", "4: floor -> error bound"),
         ("host/tailbeat/core/late.py", '"no trial"', '"no swim"', "16: no swim -> trial"),
         ("host/tailbeat/core/late.py", '"Run one."', 'f"{number} logbooks"', "16: logbooks -> "),
-        ("host/tailbeat/core/late.py", "KEY = ", "KEY = 'a bad verdict'  #", "6: verdict -> "),
+        ("host/tailbeat/core/late.py", "KEY = ", "KEY = 'so bad a verdict'  #", "6: verdict -> "),
         ("host/tailbeat/core/late.py", '"Run one."', f'"{LONG}."', "16: 21 words in 'word word"),
         ("host/tailbeat/app/cli/trial.py", "Number of the", "Verdict of the", "4: Verdict -> "),
         ("host/tailbeat/app/cli/trial.py", "Print a trial", "Print a swim", "5: a swim -> trial"),

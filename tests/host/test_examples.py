@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import runpy
 import shutil
@@ -16,6 +17,7 @@ from typing import Any
 import pytest
 from pyulog import ULog
 
+from tailbeat.app.cli import run as run_tool
 from tailbeat.board.fish import Fish
 from tailbeat.core.reference import Reference, ReferenceLimits, from_csv
 from tailbeat.core.trial_file import read_trial
@@ -26,7 +28,7 @@ from tailbeat.report.replay import replay
 EXAMPLES = Path(__file__).parents[2] / "examples"
 DATA = EXAMPLES / "data"
 PROGRAMS = sorted(EXAMPLES.glob("*.py"))
-LINES_MAX, DATA_BYTES_MAX = 60, 300_000
+LINES_MAX, DATA_BYTES_MAX = 60, 600_000
 
 
 def run(name: str, folder: Path, *arguments: object) -> str:
@@ -79,6 +81,25 @@ def test_batch_analysis_writes_every_trial(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert [row["trial"] for row in rows] == ["1", "2", "3"] * 2
     assert {row["fish"] for row in rows} == {"carangi"}
+
+
+def test_the_recording_is_what_the_sensor_sends(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_tool(["board", "imu", "decode", str(DATA / "imu_rest.bin"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["ascii_valid"] == found["ascii_types"]["VNYMR"] == 110
+    assert found["skipped_bytes"] == found["checksum_failed"] == 0
+
+
+def test_the_fish_is_found_in_every_picture_of_the_film() -> None:
+    pytest.importorskip("cv2")
+    from tailbeat.sensors.camera.marker.detector import Marker
+    from tailbeat.sensors.camera.render.scene import Scene
+    from tailbeat.sensors.camera.source.film import Film
+    from tailbeat.sensors.camera.tracking.track import track
+
+    calibration = Scene(size_px=(640, 360), marker_side_m=0.12).calibration()
+    found = track(Film(DATA / "film.mp4"), Marker("aruco", 7, 0.12), calibration)
+    assert found.seen().tolist() == [True] * 50
 
 
 def test_the_ros_node_says_what_it_needs(tmp_path: Path) -> None:

@@ -348,7 +348,7 @@ def alone(experiment: Experiment) -> Iterator[None]:
     try:
         if not try_lock(descriptor):
             raise InputError(
-                f"another program swims in {experiment.name}.",
+                f"another program runs a trial in {experiment.name}.",
                 "Go on there, at its terminal or its page; or end it, then begin again.",
             )
         yield

@@ -111,7 +111,7 @@ _RMS_M_S = 0.003
 # Half of the 95 % interval that is too much (relative for kappa and slope), and what narrows it.
 _WIDE = {
     "kappa_per_m": (0.3, "a coast-down from a faster cruise narrows it"),
-    "slope_m_s_rad": (0.1, "more runs near the largest amplitude narrow it"),
+    "slope_m_s_rad": (0.1, "more trials near the largest amplitude narrow it"),
     "dead_zone_rad": (0.03, "a long cruise a little above it narrows it"),
     "delay_s": (0.15, "a trial whose amplitude changes gently, beat by beat, narrows it"),
 }

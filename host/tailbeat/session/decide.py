@@ -269,7 +269,7 @@ class Decisions:
         raise TailbeatError(
             f"trial {number} was decided on ({decision.kind}), but the board {what}: another "
             "program was quicker; the decision is withdrawn",
-            f"{remedy}. See that only one program swims this fish.",
+            f"{remedy}. Make sure that only one program controls this fish.",
         )
 
     def _file(self, recorded: RecordedTrial, decision: Decision) -> None:

@@ -53,7 +53,7 @@ def alert(event: Event) -> str:
             return "the link broke; trying to get it back (without it the board stops by itself)"
         case LinkRestored(state):
             trials = state == "RUNNING"
-            then = "it swims on" if trials else "the board has stopped the tail meanwhile"
+            then = "the trial continues" if trials else "the board has stopped the tail meanwhile"
             return f"the link is back; {then}"
         case InterruptRequested():
             return "Ctrl-C: the tail is being stopped"
@@ -117,7 +117,7 @@ def log_line(event: Event) -> str:
         case StepProgress(step, text, ok):
             return "" if ok is None else f"{step}: {text}"
         case TrialStarted(trial, iteration):
-            return f"trial {trial} swims, iteration {iteration}"
+            return f"trial {trial} runs, iteration {iteration}"
         case TrialEnded(trial, end):
             return f"trial {trial} has ended: {end}"
     return alert(event) or result(event)

@@ -302,7 +302,7 @@ def test_only_one_program_swims_in_an_experiment(board: SimBoard) -> None:
 
         end = run_series(fish, made, Script(second), ONCE)
         assert (end.why, end.rounds[0].learned is not None) == ("swims", True)
-        assert len(refused) == 1 and "another program swims in" in refused[0]
+        assert len(refused) == 1 and "another program runs a trial in" in refused[0]
         assert run_series(fish, made, Script(), ONCE).why == "swims", "it is free again"
 
 

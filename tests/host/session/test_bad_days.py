@@ -308,7 +308,7 @@ def cut_the_link(day: BadDay, beat: int, for_s: float) -> None:
 
 LOST = "tailbeat: the link broke; trying to get it back (without it the board stops by itself)"
 BACK = "tailbeat: the link is back; the board has stopped the tail meanwhile"
-ON = "tailbeat: the link is back; it swims on"
+ON = "tailbeat: the link is back; the trial continues"
 
 
 @pytest.mark.parametrize("command", [KEEP, NOBODY])

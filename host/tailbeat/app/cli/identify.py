@@ -45,7 +45,7 @@ class ResultFiles:
 
     out: Path | None = opt("Write what was found there.")
     library: Library = None
-    plot: Path | None = opt("Draw map, runs and residuals.", "PNG")
+    plot: Path | None = opt("Draw map, trials and residuals.", "PNG")
 
     def check(self) -> None:
         """Raises InputError for a folder that is not there."""
@@ -318,7 +318,7 @@ def _text(
     volts = f"; battery {account.battery_text}" if account.battery_v else ""
     drag = f"; alpha {known.alpha_kg_m:.1f} kg/m" if known.alpha_kg_m else ""
     return lines_of(
-        f"identified from {len(account.trials)} swims: the model misses {account.beats} beats by "
+        f"identified from {len(account.trials)} trials: the model misses {account.beats} beats by "
         f"{mm(account.rms_m_s)} mm/s RMS{volts}{drag}",
         table(["", "", "", "95 % interval"], rows, left=(0, 2, 3)),
         [f"warning: {text}" for text in account.warnings],

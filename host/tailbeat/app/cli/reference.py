@@ -57,7 +57,7 @@ def _bound_lines(around: ErrorBoundRange, assumed: Sequence[str]) -> list[str]:
         *map(_spot_text, found.spots),
     ]
     if assumed:
-        rests = f"  it rests on an assumed {', '.join(assumed)}: runs tell better"
+        rests = f"  it rests on an assumed {', '.join(assumed)}: identify it with trials"
         lines.append(f"{rests} (tailbeat session identify)")
     return lines
 

@@ -303,7 +303,7 @@ def _end_text(last: CommissionStep, limits: dict[str, float]) -> str:
         return f"ended at {last.name}; AMP_MAX_RAD is {amplitude_rad:.2f}"
     return (
         f"ready: AMP_MAX_RAD {amplitude_rad:.2f}, DU_MAX_RAD {step_rad:.2f}, "
-        "saved; swim: tailbeat trial run"
+        "saved; next: tailbeat trial run"
     )
 
 

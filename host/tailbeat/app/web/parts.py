@@ -42,7 +42,7 @@ LAWS = {
     "p": "P law on the board",
 }
 COMMISSION = {
-    "new": "if the fish is unknown: three short runs",
+    "new": "if the fish is unknown: three short trials",
     "anew": "again",
     "never": "no: trials only",
 }

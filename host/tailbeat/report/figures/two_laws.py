@@ -106,7 +106,7 @@ def _measuring(axes: Axes, count: int) -> None:
         return
     axes.axvspan(0.4, count + 0.5, color=_REFERENCE, alpha=0.5, lw=0, zorder=0.2)
     axes.annotate(
-        f"{count} runs to\nmeasure the fish", (0.02, 0.03),
+        f"{count} trials to\nmeasure the fish", (0.02, 0.03),
         xycoords="axes fraction", fontsize=PAGE.small_pt, color=INK, va="bottom", zorder=6,
     )  # fmt: skip
 
