@@ -97,7 +97,7 @@ def test_the_reason_has_its_figures() -> None:
     found = limit_offer(DEFAULTS, THESIS, known(), STRAIGHT)
     assert isinstance(found, LimitIncrease)
     assert f"{TANK.amplitude_rad(0.0791):.2f} for its 79 mm/s" in found.reason
-    assert "a trial went to 0.80 without a fault" in found.reason
+    assert "it reached 0.80 without a fault" in found.reason
     assert "of 2.64 m" in found.reason
 
 

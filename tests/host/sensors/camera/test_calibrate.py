@@ -430,7 +430,7 @@ def test_without_the_camera_a_point_that_may_be_another_is_not_left_out() -> Non
         except InputError as error:
             if "The wrong one is unknown" in str(error):
                 told += 1
-                assert re.search(r"wrong: P\d or P\d", str(error)) and f"P{wrong}" in str(error)
+                assert re.search(r"unknown: P\d or P\d", str(error)) and f"P{wrong}" in str(error)
                 assert "--board" in str(error)
             else:
                 assert "do not fit each other" in str(error)
