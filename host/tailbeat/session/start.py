@@ -194,7 +194,8 @@ class _Guide:
         words = (
             f"{reference.name}, {reference.beats} tail beats (one a second); the fish travels"
             f" {travel.text()}. Its error bound is {mm(around.bound.minimax_m_s)} mm/s"
-            f" ({mm(low)} to {mm(high)}): by the measured model no input has a smaller largest error"
+            f" ({mm(low)} to {mm(high)}): by the measured model no input has a smaller"
+            " largest error"
         )
         fish = KnownFish(known, "measured")
         if (saturation := expected_saturation(fish, reference, params)) is not None:
