@@ -193,7 +193,7 @@ def test_params_set_prints_why(
 ) -> None:
     board = SimBoard("tank")
     monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(board))
-    for kind, why in {"4": "needs the speed at once", "5": "throw the tail about"}.items():
+    for kind, why in {"4": "needs the speed during the trial", "5": "throw the tail about"}.items():
         assert run(["params", "set", "ILC_KIND", kind, "--connect", "it"]) == 1
         out, err = capsys.readouterr()
         assert out == ""

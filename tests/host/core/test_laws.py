@@ -116,7 +116,7 @@ def test_the_next_visits_follow_from_the_trials_of_a_memory() -> None:
 
 @pytest.mark.parametrize("visits", [[1], [1, 2, 3], [-1, 0], [0, 256]])
 def test_visits_that_are_none(visits: list[int]) -> None:
-    with pytest.raises(InputError, match="one count per beat"):
+    with pytest.raises(InputError, match="not one per beat"):
         laws.update(Law(), [0.1, 0.1], [0.1, 0.1], visits=visits)
 
 

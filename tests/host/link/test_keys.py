@@ -147,7 +147,7 @@ def test_which_key_is_meant(store: KeyStore) -> None:
     store.save(replace(OTHER, name="second"))
     with pytest.raises(InputError, match="several"):
         store.find(None)
-    with pytest.raises(InputError, match="not the one key"):
+    with pytest.raises(InputError, match="names no single key"):
         store.find(BOARD)
     assert store.find("second").key == OTHER.key
     store.delete_others(store.find("second"))

@@ -305,7 +305,9 @@ def test_pictures_of_different_sizes(boards: list[tuple[str, Image]]) -> None:
 
 def test_a_board_never_tilted_tells_no_focal_length() -> None:
     flat = [seen_as(board_view(i, tilt=0.0, each=3)) for i in range(8)]
-    with refused(r"focal length cannot be told .* held the same way .* \(0 are tilted\). Tilt"):
+    with refused(
+        r"focal length cannot be determined .* held the same way .* \(0 are tilted\). Tilt"
+    ):
         find_intrinsics(flat)
 
 
@@ -426,9 +428,9 @@ def test_without_the_camera_a_point_that_may_be_another_is_not_left_out() -> Non
         try:
             made = by_hand(straight.pixels(TANK), places)
         except InputError as error:
-            if "it cannot be told which" in str(error):
+            if "The wrong one is unknown" in str(error):
                 told += 1
-                assert re.search(r"wrong: P\d or P\d", str(error)) and f"P{wrong}" in str(error)
+                assert re.search(r"unknown: P\d or P\d", str(error)) and f"P{wrong}" in str(error)
                 assert "--board" in str(error)
             else:
                 assert "do not fit each other" in str(error)
@@ -768,7 +770,7 @@ def test_rulers_that_cannot_tell() -> None:
 def test_a_camera_moved_before_the_ruler_was_laid(made: Calibrated) -> None:
     moved = {i: (u + 20, v) for i, (u, v) in made.calibration.anchors.items()}
     ruler = Ruler("later.png", TRUE.pixels(STICK), STICK_M, SIZE, moved)
-    with refused("in later.png anchor 4. is . cm from where it was"):
+    with refused("in later.png anchor 4. is . cm from its place at calibration"):
         check_scale(made.calibration, [ruler])
 
 

@@ -350,7 +350,9 @@ def test_anchors_tell_a_camera_that_was_moved() -> None:
     u, v = there[42]
     near = found.check_anchors(there | {42: (u + 5, v)}, "swim.mp4")
     assert near is not None and 0.010 < near < 0.017
-    with pytest.raises(InputError, match=r"in swim.mp4 anchor 42 is \d cm from where it was"):
+    with pytest.raises(
+        InputError, match=r"in swim.mp4 anchor 42 is \d cm from its place at calibration"
+    ):
         found.check_anchors(there | {42: (u + 12, v)}, "swim.mp4")
     with pytest.raises(InputError, match="anchor"):
         found.check_anchors({i: (u * 0.9, v * 0.9) for i, (u, v) in there.items()}, "zoomed.mp4")

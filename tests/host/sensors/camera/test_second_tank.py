@@ -139,7 +139,7 @@ def test_noise_that_is_correlated_is_in_the_sigma() -> None:
 def test_a_restamped_film_with_missing_pictures_is_refused(seed: int) -> None:
     swim = Swim(seed)
     by = Filming(lost=0.05, restamped=True, seed=seed)
-    with pytest.raises(InputError, match=r"swim.mp4 lacks pictures that its time stamps do not"):
+    with pytest.raises(InputError, match=r"swim.mp4 lacks pictures, and its time stamps do not"):
         swim_speed(seen(swim, by), 1.0, 0.0, beats=24)
 
 

@@ -135,7 +135,7 @@ def test_a_marker_of_another_size_says_that_the_scale_is_wrong(side_m: float, wr
         follow(tracker, pictures)
         assert tracker.measured_side_m == pytest.approx(0.06, rel=0.01)
         return
-    said = f"it should be {side_m * 1000:.1f} mm"
+    said = f"expected: {side_m * 1000:.1f} mm"
     words = rf"marker is (59|60)\.\d mm wide, {said}.*--marker-side.*height"
     follow(tracker, pictures[:20])
     with pytest.raises(InputError, match=words):
@@ -157,7 +157,9 @@ def test_anchors_elsewhere_mean_another_camera(kind: str) -> None:
     pictures = film(scene, even(12))
     assert all(place.frame for place in follow(Tracker(marker, right, "a film"), pictures))
     moved = replace(right, anchors={i: (u + 15, v - 4) for i, (u, v) in right.anchors.items()})
-    with pytest.raises(InputError, match=r"in a film anchor 4. is . cm from where it was"):
+    with pytest.raises(
+        InputError, match=r"in a film anchor 4. is . cm from its place at calibration"
+    ):
         follow(Tracker(marker, moved, "a film"), pictures)
 
 
