@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tarfile
@@ -13,7 +14,13 @@ BUILD = "import sys, build_backend; build_backend.build_sdist(sys.argv[1])"
 
 def test_the_source_distribution_carries_the_c_sources(tmp_path: Path) -> None:
     command = [sys.executable, "-c", BUILD, str(tmp_path)]
-    subprocess.run(command, cwd=HOST, env={"PYTHONPATH": "."}, capture_output=True, check=True)
+    subprocess.run(
+        command,
+        cwd=HOST,
+        env={"PYTHONPATH": ".", "PATH": os.environ["PATH"]},
+        capture_output=True,
+        check=True,
+    )
     (archive,) = tmp_path.glob("tailbeat-*.tar.gz")
     with tarfile.open(archive) as tar:
         names = {name.partition("/")[2] for name in tar.getnames()}

@@ -35,7 +35,7 @@ from tailbeat.session.travel import travel_of
 _COMMAND = "tailbeat start"
 _STEPS = (
     StepBegun(1, 5, HEALTH, "is the fish ready to swim?", "seconds", "no key"),
-    StepBegun(2, 5, "commission", "get to know a new fish", "3 measurements, 6 min", "y or n"),
+    StepBegun(2, 5, "commission", "get to know a new fish", "3 short trials (the fish moves), 6 min", "y or n"),
     StepBegun(3, 5, "reference", "the speed to learn, beat by beat", "seconds", "y or n"),
     StepBegun(
         4, 5, "trials", "the fish follows the reference, then it learns", "2 min each",

@@ -93,7 +93,11 @@ def run(script: str, *words: str, folder: Path) -> subprocess.CompletedProcess[s
 def modules() -> list[str]:
     """All Python modules of the installed package."""
     top = Path(tailbeat.__file__).parent
-    files = [path.relative_to(top).with_suffix("") for path in sorted(top.rglob("*.py"))]
+    files = [
+        path.relative_to(top).with_suffix("")
+        for path in sorted(top.rglob("*.py"))
+        if "examples" not in path.parts
+    ]
     return [".".join(("tailbeat", *file.parts)).removesuffix(".__init__") for file in files]
 
 

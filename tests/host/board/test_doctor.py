@@ -442,7 +442,12 @@ KEY = StoredKey(bytes(range(32)), "cafe" * 8, "lab")
             "Bluetooth range",
             "tailbeat board key set",
         ),
-        (KeyStatus(OPEN, "cafe", None, KEY, {}), PROBLEM, "imitates", "tailbeat board key set"),
+        (
+            KeyStatus(OPEN, "cafe", None, KEY, {}),
+            PROBLEM,
+            "imitates this board",
+            "tailbeat board key set",
+        ),
         (
             KeyStatus(MISSING, "cafe", None, None, {}),
             PROBLEM,

@@ -1078,7 +1078,7 @@ def test_every_option_is_in_the_documentation(capsys: pytest.CaptureFixture[str]
     run_command(["board", "flash", "--help"])
     page = capsys.readouterr().out
     options = {word.strip(",.") for word in page.split() if word.startswith("--")} - {"--help"}
-    text = (Path(__file__).parents[3] / "docs" / "flashing.md").read_text()
+    text = (Path(__file__).parents[3] / "docs" / "how-to" / "flash.md").read_text()
     assert {option for option in options if f"`{option}" not in text} == set()
 
 

@@ -387,7 +387,7 @@ def test_after_a_computer_died_the_first_copy_is_put_back(
     heard: list[str] = []
     identify_fish(fish, IdentificationHooks(note=heard.append), tmp_path / "safe", quick=True)
     assert state(fish) == before
-    assert len(heard) == 1 and "interrupted" in heard[0] and str(tmp_path / "safe") in heard[0]
+    assert len(heard) == 1 and "was interrupted" in heard[0] and str(tmp_path / "safe") in heard[0]
     assert list(tmp_path.iterdir()) == []
 
 

@@ -111,7 +111,7 @@ class Wire:
     def replies(self, host: str, frame: bytes, patience_s: float = 2.0) -> list[Reply]:
         """Those that follow, up to the last of a burst."""
         port, _ = HOSTS[host]
-        self.board.read(port)
+        self._parse[host].parse_buffer(self.board.read(port))  # the rest of a frame, too
         self.board.write(frame, port)
         end_s = self.board.time_s + patience_s
         found: list[Reply] = []

@@ -124,7 +124,7 @@ def test_a_trim_that_was_broken_off(
     break_off_a_trim(monkeypatch)
     for words in (KEEP, ("trial", "run", "--no-guide"), ("trial", "run", "--guide")):
         status, line = says(*words)
-        assert status == 1 and "was interrupted" in line, words
+        assert status == 1 and "was broken off" in line, words
         assert line.endswith("tailbeat session resume")
     with connected() as fish:
         assert fish.status().next_trial == (2 if begun else 1), "nothing has swum"
@@ -140,9 +140,9 @@ def test_the_page_does_not_go_on_either(says: Says, monkeypatch: pytest.MonkeyPa
     made = experiment()
     break_off_a_trim(monkeypatch)
     with connected() as fish:
-        with pytest.raises(InputError, match=r"was interrupted.*session resume"):
+        with pytest.raises(InputError, match=r"was broken off.*session resume"):
             begin(fish, Path("experiments"))
-        with pytest.raises(InputError, match=r"was interrupted.*session resume"):
+        with pytest.raises(InputError, match=r"was broken off.*session resume"):
             run_series(fish, made, Script(), ONCE)
 
 

@@ -96,7 +96,9 @@ def test_tcp_reopens(listener: socket.socket) -> None:
     transport = TcpTransport("127.0.0.1", listener.getsockname()[1])
     first, _ = listener.accept()
     first.close()
-    with pytest.raises(LinkLostError, match=r"at once\. It may serve one program"):
+    with pytest.raises(
+        LinkLostError, match=r"closed the connection at once\. It may serve one program"
+    ):
         take(transport, 1)
     transport.reopen()
     second, _ = listener.accept()

@@ -92,7 +92,7 @@ def test_the_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None
     assert found["imu_scale_sd"] == 2e-4
     assert run(["board", "imu", "calibrate", "--connect", f"{URL}&seed=3", "--dry-run"]) == 0
     out, err = capsys.readouterr()
-    assert out.count("\n") == 1 and out.endswith("nothing was changed\n") and err == ""
+    assert out.count("\n") == 2 and out.endswith("nothing was changed\n") and err == ""
     assert run(["board", "imu", "calibrate", "--connect", URL, "--undo"]) == 0
     assert SCALE_PARAMETER in capsys.readouterr().out
 

@@ -97,7 +97,7 @@ def test_the_reason_has_its_figures() -> None:
     found = limit_offer(DEFAULTS, THESIS, known(), STRAIGHT)
     assert isinstance(found, LimitIncrease)
     assert f"{TANK.amplitude_rad(0.0791):.2f} for its 79 mm/s" in found.reason
-    assert "it reached 0.80 without a fault" in found.reason
+    assert "a trial went to 0.80 without a fault" in found.reason
     assert "of 2.64 m" in found.reason
 
 
@@ -316,7 +316,7 @@ def test_what_was_learned_is_not_given_up_unasked(fish: Fish) -> None:
     run_trial(fish)
     fish.learn()
     mine = fish.learned_record()
-    steps = list(commission_fish(fish, THESIS, Somebody("resets")))
+    steps = list(commission_fish(fish, THESIS, Somebody("resets its learning")))
     assert not steps[-1].done and fish.learned_record() == mine
 
 

@@ -356,7 +356,7 @@ def test_a_trim_that_was_broken_off_is_put_back(
     assert is_interrupted(swapped)
     assert experiment.journal.decisions().get(5) is None
     found = restore(swapped, experiment)
-    assert "interrupted" in found.notes[0]
+    assert "was interrupted" in found.notes[0]
     assert found.pending_trial is None and not found.reference and not found.learned
     assert swapped.learned_record() == pool.learned
     assert swapped.params.values() == before

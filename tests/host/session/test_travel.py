@@ -52,7 +52,9 @@ def test_gain_ten_does_not_swim_its_first_trial_in_three_metres(plant: str) -> N
     with swimmer(plant, 1, ILC_GAIN=10) as fish:
         found = travel_next(fish, None)
         assert found.expected_m == pytest.approx(3.35, abs=0.1)
-        with pytest.raises(InputError, match=r"3\.\d\d m .* room for 2\.64 m.*AMP_MAX_RAD"):
+        with pytest.raises(
+            InputError, match=r"3\.\d\d m .* tank clearance is 2\.64 m.*AMP_MAX_RAD"
+        ):
             found.require_room()
         fish.params.set("TANK_LEN_M", 4.0)
         travel_next(fish, None).require_room()

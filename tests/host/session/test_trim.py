@@ -235,7 +235,7 @@ def test_a_trim_that_was_broken_off_is_put_back_by_the_next(
     somebody = Somebody()
     found = find_centre(learned, somebody)
     assert found.was_us == 1500  # what was set before the first one, not what it left
-    assert any("broken off" in e.text for e in somebody.events if isinstance(e, Notice))
+    assert any("was interrupted" in e.text for e in somebody.events if isinstance(e, Notice))
     assert state(learned) == before
 
 
@@ -291,7 +291,7 @@ def test_the_line_and_its_sigma() -> None:
     ("low", "high"), [(0.1, 0.1), (-0.3, -0.27), (math.nan, 0.1), (0.0, math.nan)]
 )
 def test_turns_that_tell_no_centre(low: float, high: float) -> None:
-    with pytest.raises(InputError, match=r"turned alike.*nothing was changed"):
+    with pytest.raises(InputError, match=r"turned alike.*Nothing was changed"):
         made(low, high)
 
 

@@ -259,6 +259,7 @@ def test_a_set_that_is_interrupted(laptop: Callable[[str], Laptop], reached: boo
             set_key(fish)
         radio.on_write = None
     assert len(KeyStore(owner.folder).usable()) == 2
+    owner.board.run(0.2)  # what was on the line is signed with the old key
     with owner.fish(CONSOLE) as fish:
         fish.params.set("ILC_LEAD", 3)
         set_key(fish)
