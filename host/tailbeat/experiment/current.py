@@ -140,7 +140,7 @@ def require_own(fish: Fish) -> None:
     what it swam along that would be learned as if it were the fish's own."""
     if is_interrupted(fish):
         raise InputError(
-            "a trim or an identification was interrupted, and the board still has its reference.",
+            "a trim or an identification was broken off, and the board still has its reference.",
             f"To give it back what it held before: {RESTORE_COMMAND}",
         )
 

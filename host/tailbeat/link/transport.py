@@ -71,7 +71,7 @@ class Hearing:
         return {
             "silence": (
                 f"there is no tailbeat board on {name}",
-                "Nothing was heard. Check that it is switched on, that the Bluetooth module is"
+                "Nothing was received. Check that it is switched on, that the Bluetooth module is"
                 " paired and out of the water. Check the address.",
             ),
             "noise": (

@@ -163,5 +163,5 @@ def _reason(
 ) -> str:
     top = float(np.max(reference.speed_m_s)) * 1e3
     words = f"the reference needs {need:.2f}, {hold_rad(identified, reference):.2f} for its"
-    tried = f"it reached {tried_rad(identified):.2f} without a fault"
+    tried = f"a trial went to {tried_rad(identified):.2f} without a fault"
     return f"{words} {top:.0f} mm/s; {tried}; the fish travels {travel.text()}"

@@ -81,7 +81,7 @@ class MeasuringRun:
     def question(self, limit_rad: float) -> str:
         """Before it, for the operator."""
         beyond = self.top_rad > limit_rad + GRAIN_RAD / 2
-        words = f", this once beyond its limit of {limit_rad:.2f}" if beyond else ""
+        words = f", for this trial beyond its limit of {limit_rad:.2f}" if beyond else ""
         return (
             f"Run {self.number} to measure the fish: in {len(self.amplitude_rad)} beats the tail"
             f" swings wider and wider, to {self.top_rad:.2f} rad{words}; {self.travel.text()}."

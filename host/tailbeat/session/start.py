@@ -35,7 +35,10 @@ from tailbeat.session.travel import travel_of
 _COMMAND = "tailbeat start"
 _STEPS = (
     StepBegun(1, 5, HEALTH, "is the fish ready to swim?", "seconds", "no key"),
-    StepBegun(2, 5, "commission", "get to know a new fish", "3 short trials (the fish moves), 6 min", "y or n"),
+    StepBegun(
+        2, 5, "commission", "get to know a new fish", "3 short trials (the fish moves), 6 min",
+        "y or n",
+    ),  # fmt: skip
     StepBegun(3, 5, "reference", "the speed to learn, beat by beat", "seconds", "y or n"),
     StepBegun(
         4, 5, "trials", "the fish follows the reference, then it learns", "2 min each",
@@ -193,9 +196,8 @@ class _Guide:
         low, high = around.minimax_m_s
         words = (
             f"{reference.name}, {reference.beats} tail beats (one a second); the fish travels"
-            f" {travel.text()}. Its error bound is {mm(around.bound.minimax_m_s)} mm/s"
-            f" ({mm(low)} to {mm(high)}): by the measured model no input has a smaller"
-            " largest error"
+            f" {travel.text()}. Error bound {mm(around.bound.minimax_m_s)} mm/s ({mm(low)} to"
+            f" {mm(high)}): by the measured model no input has a smaller largest error"
         )
         fish = KnownFish(known, "measured")
         if (saturation := expected_saturation(fish, reference, params)) is not None:

@@ -351,7 +351,7 @@ def test_the_link_never_comes_back(day: BadDay, timeout_s: int) -> None:
     day.require_stopped_within(timeout_s or len(SPEEDS))
     status, _ = day.says(*KEEP)
     assert status == 1 and len(day.lines) == 1
-    words_of("Nothing was heard", "the Bluetooth module is paired", day.lines)
+    words_of("Nothing was received", "the Bluetooth module is paired", day.lines)
     day.board.world.set_radio(True)
     day.require_goes_on()
     assert day.lines == ["tailbeat: trial 1 waits on the board; it is decided on first"]

@@ -442,6 +442,6 @@ def _camera_text(made: Calibrated) -> str:
         return f"{width}x{height}, taken to be free of distortion"
     return (
         f"{width}x{height}; {len(found.used)} pictures of the board, {found.rms_px:.2f} px RMS, "
-        f"corners in {found.covered * 100:.0f} % of the picture. Focal length "
+        f"corners in {found.covered * 100:.0f} % of the picture\nfocal length "
         f"{made.calibration.camera_matrix[0, 0]:.0f} px, sigma {found.focal_sigma * 100:.1f} %"
     )

@@ -142,7 +142,7 @@ def _words(found: ImuCalibration) -> str:
     off = 100 * found.scale_error[int(np.argmax(np.abs(found.scale_error)))]
     return (
         f"gyroscopes measured up to {abs(off):.2f} % too {'little' if off > 0 else 'much'}, axes up"
-        f" to {math.degrees(found.axes_error_rad):.2f} degrees off. Known to"
+        f" to {math.degrees(found.axes_error_rad):.2f} degrees off\nknown to"
         f" {100 * found.scale_sd.max():.3f} % and {math.degrees(found.axes_sd_rad.max()):.3f}"
         f" degrees by {found.rests} rests"
     )
