@@ -38,7 +38,7 @@ _STEPS = (
     StepBegun(
         2, 5, "commission", "get to know a new fish", "3 short trials (the fish moves), 6 min",
         "y or n",
-    ),  # fmt: skip
+    ),
     StepBegun(3, 5, "reference", "the speed to learn, beat by beat", "seconds", "y or n"),
     StepBegun(
         4, 5, "trials", "the fish follows the reference, then it learns", "2 min each",
