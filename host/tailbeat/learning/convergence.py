@@ -27,7 +27,7 @@ from tailbeat.learning.saturation import Saturation
 
 SCATTER_M_S = 0.0031  # half of the 95 % interval of repeats on the tank plant, kappa 5 to 20 1/m
 WINDOW = 3  # trials without progress that end a series
-BOUND_WINDOW = 2  # trials in a row within noise of the error bound that end it
+BOUND_WINDOW = 2  # trials in a row within noise of the L2-optimal input's error that end it
 MOVES = 0.9  # a fish whose max|e| is above this part of the one at rest hardly swims yet
 _SLOPE_SIGMAS = 1.2  # a slope this far from none may well be one
 _REPEATS_MIN = 3
@@ -340,9 +340,9 @@ def _stop_reason(
     if rest_m_s is not None and best.max_abs_error_m_s > MOVES * rest_m_s:
         return ""
     latest = [score.max_abs_error_m_s for score in judged[-BOUND_WINDOW:]]
-    enough = len(latest) == BOUND_WINDOW  # one trial near the error bound may be chance
+    enough = len(latest) == BOUND_WINDOW  # one trial near it may be chance
     if floor_m_s is not None and enough and max(latest) <= floor_m_s * band.high:
-        what = f"the error bound (least squares, {floor_m_s * 1e3:.1f} mm/s)"
+        what = f"the error of the L2-optimal input ({floor_m_s * 1e3:.1f} mm/s)"
         return f"the last {BOUND_WINDOW} trials are within noise of {what}"
     before, window = judged[:-WINDOW], judged[-WINDOW:]
     if not before:

@@ -270,7 +270,7 @@ def test_the_reasons_to_stop_and_what_to_do() -> None:
     near = assess(scored(60, 12.6, 12.3), floor_m_s=0.0113)
     assert (
         near.stop_reason
-        == "the last 2 trials are within noise of the error bound (least squares, 11.3 mm/s)"
+        == "the last 2 trials are within noise of the error of the L2-optimal input (11.3 mm/s)"
     )
     assert not assess(scored(60, 12.6, 12.3), floor_m_s=0.005).stop
     sure = assess(scored(30, 12, 12.5, 12.8, 12.4, crcs=(1, 2, 3, 2, 2)))

@@ -190,8 +190,8 @@ def test_check_without_a_board(file: Path, capsys: pytest.CaptureFixture[str]) -
     assert check("thesis", "--identified", str(file), "--amp-max", "0.785") == 0
     fits, told, where, hint = capsys.readouterr().out.splitlines()
     assert fits.startswith("fits: 40 beats")
-    assert told.startswith("error bound (least squares) 11.3 mm/s, minimax 10.4 (")
-    assert "minimax 10.4" in told
+    assert told.startswith("error bound 10.4 mm/s (")
+    assert told.endswith("the L2-optimal input leaves 11.3")
     assert where == "  beats 37-39: up to 11.3 mm/s too fast: drag alone slows it"
     assert "--suggest" in hint
 

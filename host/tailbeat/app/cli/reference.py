@@ -51,9 +51,8 @@ def _bound_lines(around: ErrorBoundRange, assumed: Sequence[str]) -> list[str]:
     the fish was not identified."""
     found, (low, high) = around.bound, around.minimax_m_s
     lines = [
-        f"error bound (least squares) {mm(found.lsq_max_abs_m_s)} mm/s, minimax"
-        f" {mm(found.minimax_m_s)} ({mm(low)} to {mm(high)}): no input leaves less on the"
-        " identified model",
+        f"error bound {mm(found.minimax_m_s)} mm/s ({mm(low)} to {mm(high)}): no input leaves less on"
+        f" the identified model; the L2-optimal input leaves {mm(found.lsq_max_abs_m_s)}",
         *map(_spot_text, found.spots),
     ]
     if assumed:
@@ -289,7 +288,7 @@ def _suggestion_lines(found: Suggestion, path: Path) -> list[str]:
     made = found.reference
     return [
         f"suggested: {made.beats} beats, {made.travel_m:.2f} m, "
-        f"error bound (least squares) {mm(found.floor_m_s)} mm/s",
+        f"the L2-optimal input leaves {mm(found.floor_m_s)} mm/s",
         *(f"  {change}" for change in found.changes),
         f"written to {path}; use it: tailbeat reference upload {path}",
     ]

@@ -186,7 +186,7 @@ def _conclusion(found: Progress, applied: dict[str, float] | None) -> str:
     best = fluctuates = ""
     if verdict.best_trial:
         best = f"best: trial {verdict.best_trial}, {mm(verdict.best_max_abs_error_m_s)} mm/s"
-        bound = f"; error bound (least squares) {mm(found.floor_m_s)} mm/s"
+        bound = f"; the L2-optimal input leaves {mm(found.floor_m_s)} mm/s"
         best += f", {verdict.band.text()}{bound if found.floor_m_s else ''}"
     if fade is not None and found.fluctuation is not None:
         fluctuates = (

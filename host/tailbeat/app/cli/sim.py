@@ -145,7 +145,7 @@ def _demo_text(result: DemoResult) -> str:
     seed = "" if result.seed is None else f", seed {result.seed}"
     bound = (
         f"error bound {mm(result.floor_m_s)} mm/s: no input can do better on this plant without "
-        f"noise (least squares: {mm(result.floor_lsq_m_s)})"
+        f"noise (the L2-optimal input leaves {mm(result.floor_lsq_m_s)})"
     )
     return lines_of(
         f"plant {result.plant}, gain {result.gain:g} rad s/m, lead {result.lead:g}{seed}"
