@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy_batch import Array, draw, swim
 
-from tailbeat.core.parallel import cores_here
+from tailbeat.core.platform.programs import cores_here
 from tailbeat.studies.montecarlo.batch import FishBatch
 from tailbeat.studies.montecarlo.recipe import Recipe, parse
 from tailbeat.studies.montecarlo.runner import run_study

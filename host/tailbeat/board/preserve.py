@@ -25,8 +25,8 @@ from tailbeat.board.snapshot import BOARD_FILE, Snapshot
 from tailbeat.core import law
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
-from tailbeat.core.files import sync_folder
 from tailbeat.core.law_memory import first_amplitudes
+from tailbeat.core.platform.files import sync_folder
 from tailbeat.core.records import decode_reference, record_crc
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial, read_trial

@@ -23,8 +23,8 @@ from tailbeat.core import decode, records
 from tailbeat.core.errors import InputError, LinkLostError, Refused, TailbeatError, reason
 from tailbeat.core.faults import BAD_FORMAT
 from tailbeat.core.files import MAKE_ROOM, canonical, replace_file, write_whole
-from tailbeat.core.hex import Hex
 from tailbeat.core.param_names import with_current_names
+from tailbeat.core.printable import Hex
 from tailbeat.link.messages import BoardInfo
 
 BOARD_FILE = "board.json"

@@ -17,8 +17,8 @@ import msgspec
 
 from tailbeat.core.errors import InputError, did_you_mean, reason
 from tailbeat.core.extras import lazy
-from tailbeat.core.hex import Hex
 from tailbeat.core.lazy_arrays import np
+from tailbeat.core.printable import Hex
 
 tomllib: Any = lazy("tomllib")
 

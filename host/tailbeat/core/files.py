@@ -17,7 +17,6 @@ import io
 import json
 import math
 import os
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -26,23 +25,13 @@ from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
 from tailbeat.core.errors import InputError, reason
+from tailbeat.core.platform.files import BINARY, sync_folder, try_lock
 
 MAKE_ROOM = "Make room on this computer, then go on; nothing is lost."
 TEMPORARY = ".tmp"
 """Ending of every temporary name. A power cut can leave such a file; it can be deleted."""
 
 _NAME_SIGNS = 40  # of the file's name in its temporary one: file systems take 255 bytes in all
-_BINARY = getattr(os, "O_BINARY", 0)  # only Windows has, and needs, it
-
-
-def sync_folder(folder: Path) -> None:
-    """Makes the names in it last, as fsync does contents; Windows neither needs nor allows it."""
-    if os.name != "nt":
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 def temporary_beside(path: Path) -> Path:
@@ -60,7 +49,7 @@ def replacing(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
             yield file
         return
     part = temporary_beside(path)
-    descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, mode)
+    descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BINARY, mode)
     try:
         with os.fdopen(descriptor, "wb") as file:
             yield file
@@ -129,33 +118,6 @@ def canonical(document: Any) -> bytes:
 WRITE_LOCK = ".write-lock"
 WAIT_S = 10.0  # a change takes milliseconds: whoever holds a lock longer has been stopped
 _LOOK_S = 0.005
-
-if sys.platform == "win32":
-    import msvcrt
-
-    _BEHIND_ALL_BYTES = 1 << 30  # Windows keeps others from reading what is locked
-
-    def try_lock(descriptor: int) -> bool:
-        """Takes the lock of an open file if it is free."""
-        os.lseek(descriptor, _BEHIND_ALL_BYTES, os.SEEK_SET)
-        try:
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        except OSError:
-            return False
-        return True
-
-else:
-    import fcntl
-
-    def try_lock(descriptor: int) -> bool:
-        """Takes the lock of an open file if it is free. Closing the file returns it."""
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-        except OSError:
-            pass
-        return True
 
 
 def wait_lock(descriptor: int, path: Path, wait_s: float = WAIT_S) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.extras import reinstall
-from tailbeat.core.platform import library_name
+from tailbeat.core.platform.programs import library_name
 
 HERE = Path(__file__).parent
 

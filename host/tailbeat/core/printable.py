@@ -13,6 +13,10 @@ from collections.abc import Iterable
 _UNSAFE = ("Cc", "Cf", "Cs", "Zl", "Zp")  # controls, formats, surrogates, line separators
 
 
+class Hex(bytes):
+    """Bytes that a document holds as hexadecimal digits, as ``core.decode`` reads them."""
+
+
 def printable(text: str) -> str:
     """One line of text, with every unsafe character as its escape; line ends and tabs, too."""
     return text if text.isprintable() else "".join(map(_shown, text))

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.extras import checkout, reinstall
-from tailbeat.core.platform import program_name
+from tailbeat.core.platform.programs import program_name
 
 PACKAGED = Path(__file__).parent.parent / "selftest"
 _PROGRAMS = ("tailbeat_selftest_mock", "tailbeat_selftest_sim")

@@ -34,8 +34,9 @@ from tailbeat.board.flash.backup import BackupPlaces
 from tailbeat.board.snapshot import Snapshot, make_folder
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.faults import NO_REFERENCE, refusal
-from tailbeat.core.files import MAKE_ROOM, WRITE_LOCK, try_lock, write_whole
+from tailbeat.core.files import MAKE_ROOM, WRITE_LOCK, write_whole
 from tailbeat.core.param_names import of_document
+from tailbeat.core.platform.files import try_lock
 from tailbeat.experiment.store import JOURNAL, MAKE_ROOM_AGAIN, RAW, RawFiles
 
 _SETTINGS = "settings.json"

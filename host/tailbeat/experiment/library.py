@@ -21,7 +21,8 @@ from typing import Any
 
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
-from tailbeat.core.files import sync_folder, write_whole
+from tailbeat.core.files import write_whole
+from tailbeat.core.platform.files import sync_folder
 from tailbeat.core.reference import Reference
 from tailbeat.experiment.library_folder import FOLDER_VARIABLE as FOLDER_VARIABLE
 from tailbeat.experiment.library_folder import folder_of, library_folder

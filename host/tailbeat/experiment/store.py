@@ -39,15 +39,14 @@ from tailbeat.core.files import (
     TEMPORARY,
     locked,
     plain,
-    sync_folder,
     wait_lock,
     write_whole,
 )
 from tailbeat.core.param_names import of_document
+from tailbeat.core.platform.files import BINARY, sync_folder
 from tailbeat.core.trial_file import Trial, parse_trial, read_trial
 
 _TORN = b" #torn"
-_BINARY = getattr(os, "O_BINARY", 0)  # only Windows has, and needs, it
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ class Journal:
 
     def _append(self, line: bytes) -> None:
         """The line whole, or nothing of it."""
-        descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | _BINARY, 0o644)
+        descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | BINARY, 0o644)
         try:
             wait_lock(descriptor, self.path)  # or another process's half line would count as torn
             size = os.fstat(descriptor).st_size

@@ -10,8 +10,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import stat
-import sys
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,7 +20,8 @@ from platformdirs.unix import Unix
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.extras import lazy
 from tailbeat.core.files import locked, plain, replace_file
-from tailbeat.core.hex import Hex
+from tailbeat.core.platform.files import readable_by_others
+from tailbeat.core.printable import Hex
 
 if TYPE_CHECKING:
     import hashlib
@@ -35,7 +34,6 @@ KEY_BYTES = 32
 _FORMAT = "tailbeat key 1"
 _FOLDER = "TAILBEAT_KEYS"
 _OWNER_ONLY = 0o600
-_OTHERS = stat.S_IRWXG | stat.S_IRWXO
 _LINK_IDS = 255  # 0 is the board's
 _FINGERPRINT_BYTES = 4
 _TIME_MAX = (1 << 48) - 1
@@ -281,11 +279,6 @@ def _is_file(path: Path) -> bool:
     with contextlib.suppress(OSError):
         return path.exists() and not path.is_dir()
     return False
-
-
-def readable_by_others(path: Path) -> bool:
-    """Whether other users of this computer can get at the file."""
-    return sys.platform != "win32" and bool(path.stat().st_mode & _OTHERS)
 
 
 def _require_private(path: Path) -> None:

@@ -10,8 +10,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import select
-import sys
 import time
 from collections.abc import Iterator
 from enum import Enum
@@ -21,6 +19,7 @@ import serial
 from serial.tools import list_ports
 
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError, reason
+from tailbeat.core.platform.ports import port_permission_remedy, wait_for_bytes
 
 
 class PortKind(Enum):
@@ -75,7 +74,7 @@ def cannot_open(path: str, error: Exception) -> ConnectError:
             " sudo rfcomm bind 0 ADDRESS",
         )
     if number in (errno.EACCES, errno.EPERM):
-        return ConnectError(f"cannot open {path}: you may not use it", _permission_remedy(path))
+        return ConnectError(f"cannot open {path}: you may not use it", port_permission_remedy(path))
     if number in _BUSY:
         users = ", ".join(holders(path)) or "another program"
         return ConnectError(f"cannot open {path}: it is in use by {users}", CLOSE_IT)
@@ -89,24 +88,6 @@ def cannot_open(path: str, error: Exception) -> ConnectError:
         "Check the cable, that no other program holds the port, and that you may use it"
         " (on Linux: group dialout).",
     )
-
-
-def _permission_remedy(path: str) -> str:
-    if sys.platform == "win32":
-        return "Close other programs that hold it."
-    group = _group_of(path)
-    return (
-        f"Ask for the group {group} once, then log out and in again: sudo usermod -aG {group} $USER"
-    )
-
-
-def _group_of(path: str) -> str:
-    """The group whose members may use a port."""
-    try:
-        group = Path(path).group()
-    except (OSError, KeyError, NotImplementedError):
-        return "dialout"
-    return "dialout" if group == "root" else group  # a device of root's alone: the usual group
 
 
 def _listing() -> str:
@@ -204,11 +185,8 @@ class SerialTransport:
         if self._out:
             self._flush()
             timeout_s = min(timeout_s, 0.005)
-        if sys.platform == "win32":
-            _poll(port, timeout_s)
-            return
         try:
-            select.select([port.fileno()], [], [], timeout_s)
+            wait_for_bytes(port, timeout_s)
         except (OSError, ValueError, serial.SerialException) as error:
             raise self._lost() from error
 
@@ -261,9 +239,3 @@ def likely_ports() -> Iterator[str]:
 def is_radio(text: str) -> bool:
     """Whether a port's name or description is that of a Bluetooth radio."""
     return any(word in text.lower() for word in ("rfcomm", "hc-05", "hc-06"))
-
-
-def _poll(port: serial.Serial, timeout_s: float) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not port.in_waiting and time.monotonic() < deadline:
-        time.sleep(0.002)

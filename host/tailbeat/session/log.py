@@ -17,7 +17,7 @@ from tailbeat.board.snapshot import Snapshot, make_folder
 from tailbeat.core import decode
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import plain, write_whole
-from tailbeat.core.hex import Hex
+from tailbeat.core.printable import Hex
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import reference_crc
 from tailbeat.experiment.folder import Experiment

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 from tailbeat.core.errors import ConnectError, InputError
+from tailbeat.core.platform.ports import open_pty
 from tailbeat.link.sockets import taken_line
 from tailbeat.sim.board import CONSOLE, RADIO, SimulatedBoard
 from tailbeat.sim.world import CameraFrame, CommandLines
@@ -172,15 +173,11 @@ class _Pty:
     """The console on a pseudo-terminal, held open so that clients may come and go."""
 
     def __init__(self, selector: selectors.BaseSelector) -> None:
-        try:
-            import pty
-            import tty
-        except ImportError as error:
-            raise InputError("this system has no ptys.", "Use the TCP port.") from error
+        ends = open_pty()
+        if ends is None:
+            raise InputError("this system has no ptys.", "Use the TCP port.")
         self._selector = selector
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
+        self._master, self._slave = ends
         self.path = os.ttyname(self._slave)
         selector.register(self._master, selectors.EVENT_READ, _nothing)
 

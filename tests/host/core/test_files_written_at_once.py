@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat.core import files
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import WRITE_LOCK, locked, replacing, replacing_text, write_whole
 from tailbeat.core.records import crc32
@@ -159,7 +158,7 @@ def test_a_folder_without_locks_is_used_without(
     def no_locks(descriptor: int, how: int) -> None:
         raise OSError(95, "not supported")
 
-    monkeypatch.setattr(files.fcntl, "flock", no_locks)
+    monkeypatch.setattr("fcntl.flock", no_locks)
     with locked(tmp_path, wait_s=0.0):
         pass
 

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,13 +12,7 @@ import numpy as np
 import pytest
 
 from tailbeat.app.cli import run
-from tailbeat.app.cli._operator import (
-    Keys,
-    TerminalGone,
-    TerminalOperator,
-    Undecided,
-    terminal_keys,
-)
+from tailbeat.app.cli._operator import TerminalOperator, Undecided
 from tailbeat.app.cli._terminal import Display
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
@@ -365,108 +356,3 @@ def test_what_was_typed_before_the_countdown_is_forgotten() -> None:
 def test_confirm() -> None:
     assert TerminalOperator(Display(), Typed("\n_y")).confirm("Clear it?")
     assert not TerminalOperator(Display(), Typed("n")).confirm("Clear it?")
-
-
-# the keyboard
-
-posix = pytest.mark.skipif(os.name == "nt", reason="a POSIX terminal")
-
-
-@pytest.fixture
-def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, int]]:
-    """(where one types, the program's end)"""
-    hand, program = os.openpty()
-    with os.fdopen(program, closefd=False) as stdin:
-        monkeypatch.setattr(sys, "stdin", stdin)
-        yield hand, program
-    for descriptor in (hand, program):
-        with contextlib.suppress(OSError):
-            os.close(descriptor)
-
-
-def modes(descriptor: int) -> list[Any]:
-    import termios
-
-    return termios.tcgetattr(descriptor)
-
-
-@posix
-def test_single_keys(terminal: tuple[int, int]) -> None:
-    import termios
-
-    hand, program = terminal
-    usual = modes(program)
-    with terminal_keys() as keys:
-        assert keys is not None and not keys.pressed()
-        assert not modes(program)[3] & (termios.ICANON | termios.ECHO)
-        assert modes(program)[3] & termios.ISIG, "Ctrl-C stays what it is"
-        assert keys.key(0.0) is None
-        os.write(hand, b" ")
-        assert keys.key(5.0) == " "
-        os.write(hand, b"xyz")
-        while not keys.pressed():
-            pass
-        assert keys.pressed(), "until it is asked for, or forgotten"
-        keys.forget()
-        assert not keys.pressed()
-    assert modes(program) == usual
-
-
-@posix
-def test_an_arrow_is_no_escape(terminal: tuple[int, int]) -> None:
-    hand, _ = terminal
-    with terminal_keys() as keys:
-        assert keys is not None
-        os.write(hand, b"\x1b[A")
-        assert keys.key(5.0) is None
-        os.write(hand, b"\x1b")
-        assert keys.key(5.0) == "\x1b"
-
-
-@posix
-@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_the_terminal_is_put_back_whatever_happens(
-    terminal: tuple[int, int], error: type[BaseException]
-) -> None:
-    usual = modes(terminal[1])
-    with pytest.raises(error), terminal_keys():
-        raise error
-    assert modes(terminal[1]) == usual
-
-
-@posix
-def test_a_typed_reason(terminal: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
-    hand, program = terminal
-    with terminal_keys() as keys:
-        single = modes(program)
-        assert keys is not None
-        type_when_asked(keys, hand, monkeypatch)
-        assert keys.line() == "bumped the wall"
-        assert modes(program) == single
-
-
-def type_when_asked(keys: Keys, hand: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Types once the terminal is back in lines: what came before is forgotten."""
-    real = os.read
-
-    def read(descriptor: int, count: int) -> bytes:
-        os.write(hand, b"bumped the wall\n")
-        return real(descriptor, count)
-
-    monkeypatch.setattr("tailbeat.app.cli._operator.os.read", read)
-
-
-@posix
-def test_a_terminal_that_is_gone(terminal: tuple[int, int]) -> None:
-    hand, _ = terminal
-    with terminal_keys() as keys:
-        assert keys is not None
-        os.close(hand)
-        assert keys.pressed(), "nobody can stop the tail any more, so it stops"
-        with pytest.raises(TerminalGone):
-            keys.key(1.0)
-
-
-def test_no_terminal_no_keys() -> None:
-    with terminal_keys() as keys:
-        assert keys is None

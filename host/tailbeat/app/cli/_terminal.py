@@ -26,6 +26,7 @@ import typer
 
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.files import plain
+from tailbeat.core.platform.programs import terminal_closed
 from tailbeat.core.printable import printable, printable_lines
 
 if TYPE_CHECKING:
@@ -272,8 +273,6 @@ class Display:
             live.stop()
 
 
-_NAMES = ("SIGTERM", "SIGHUP")  # ended by the system; the terminal was closed
-
 _came: list[str] = []
 
 
@@ -289,7 +288,7 @@ def ended_as_by_ctrl_c() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    numbers = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
+    numbers = [signal.SIGTERM, *terminal_closed()]
     taken = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]
     begun_by = os.getpid()
 

@@ -12,7 +12,7 @@ import typer
 from tailbeat.app.cli._camera import CameraOptions, LiveCamera, TankCameraOptions, live_camera
 from tailbeat.app.cli._fish import Connect, ConnectedFish, connected
 from tailbeat.app.cli._lazy import opt
-from tailbeat.app.cli._operator import COUNTS, KINDS, Keys, TerminalOperator, terminal
+from tailbeat.app.cli._operator import COUNTS, KINDS, TerminalOperator, terminal
 from tailbeat.app.cli._options import (
     IdentifiedFile,
     Into,
@@ -29,6 +29,7 @@ from tailbeat.board.fish import Fish, board_reference
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import plain
+from tailbeat.core.platform.terminal import Keys
 from tailbeat.core.printable import mm
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.experiment.current import (

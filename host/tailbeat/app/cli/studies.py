@@ -19,7 +19,7 @@ import typer
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._terminal import Output, echo, lines_of, pick, progress_bar, table, warn
 from tailbeat.core.files import plain
-from tailbeat.core.parallel import cores_here
+from tailbeat.core.platform.programs import cores_here
 from tailbeat.core.printable import mm
 from tailbeat.studies.montecarlo.cell import cells
 from tailbeat.studies.montecarlo.recipe import Recipe, load, packaged

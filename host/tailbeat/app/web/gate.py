@@ -31,6 +31,7 @@ import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from tailbeat.app.web.access import ABORTED, Reply, Request, Rules
+from tailbeat.core.platform.programs import open_files_max
 
 if TYPE_CHECKING:
     import uvicorn
@@ -71,12 +72,8 @@ class GateLimits:
     @classmethod
     def of_process(cls) -> GateLimits:
         """For this process."""
-        try:
-            from resource import RLIM_INFINITY, RLIMIT_NOFILE, getrlimit
-        except ImportError:  # Windows: no limit that matters here
-            return cls()
-        soft = getrlimit(RLIMIT_NOFILE)[0]
-        return cls() if soft == RLIM_INFINITY else cls.of(soft)
+        descriptors = open_files_max()
+        return cls() if descriptors is None else cls.of(descriptors)
 
 
 @dataclass(eq=False)

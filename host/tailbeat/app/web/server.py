@@ -13,10 +13,8 @@ import contextlib
 import errno
 import ipaddress
 import itertools
-import os
 import signal
 import socket
-import sys
 import webbrowser
 from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass, field
@@ -47,6 +45,7 @@ from tailbeat.app.web.gate import Entrance, Gate
 from tailbeat.app.web.page import Page
 from tailbeat.app.web.worker import Worker
 from tailbeat.core.errors import ConnectError, TailbeatError, reason
+from tailbeat.core.platform.programs import has_windows, terminal_closed
 from tailbeat.core.trial_file import beats_csv, read_trial
 
 _ANY = ("0.0.0.0", "::")
@@ -163,8 +162,8 @@ def serve(worker: Worker, place: ListenAddress, show: bool = False) -> None:
     )
 
     server = _TailFirst(config, gate, abort)
-    if hasattr(signal, "SIGHUP"):
-        signal.signal(signal.SIGHUP, server.handle_exit)  # the terminal was closed
+    for number in terminal_closed():
+        signal.signal(number, server.handle_exit)
     worker.start()
     try:
         server.run()
@@ -175,8 +174,7 @@ def serve(worker: Worker, place: ListenAddress, show: bool = False) -> None:
 
 def _open(url: str) -> None:
     """In a browser with windows; one in the terminal would take it over."""
-    windows = sys.platform in ("darwin", "win32")
-    if windows or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+    if has_windows():
         with contextlib.suppress(webbrowser.Error):
             webbrowser.open(url)
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Protocol
 
 import serial
 
 from tailbeat.core.errors import ConnectError, reason
+from tailbeat.core.platform.ports import is_unlisted_port, same_port
 from tailbeat.link.serial import (
     BAUD,
     ERASE_BAUD,
@@ -101,9 +100,9 @@ def find_port(name: str | None, enumerate_ports: Enumerate) -> BoardPort:
 
 def _named(name: str, enumerate_ports: Enumerate) -> BoardPort:
     for port in enumerate_ports():
-        if _same_device(port.device, name):
+        if same_port(port.device, name):
             return _port(port)
-    if os.name != "nt" and Path(name).exists():
+    if is_unlisted_port(name):
         return BoardPort(name, PortKind.OTHER)
     found = board_ports(enumerate_ports)
     raise ConnectError(
@@ -171,10 +170,6 @@ def _line(port: BoardPort, baud: int) -> Iterator[serial.Serial]:
     finally:
         with contextlib.suppress(OSError, serial.SerialException):
             line.close()
-
-
-def _same_device(a: str, b: str) -> bool:
-    return a.upper() == b.upper() if os.name == "nt" else os.path.realpath(a) == os.path.realpath(b)
 
 
 def _listing(found: list[BoardPort]) -> str:

@@ -20,7 +20,7 @@ from tailbeat.board.flash.ports import BoardPort
 from tailbeat.board.memory import CrashReport
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.image import image_remedy
-from tailbeat.core.platform import install_program
+from tailbeat.core.platform.programs import install_program
 
 BOSSAC, OPENOCD = "bossac", "openocd"
 _ADDR2LINE, _BINUTILS = "arm-none-eabi-addr2line", "binutils-arm-none-eabi"

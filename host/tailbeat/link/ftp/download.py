@@ -24,7 +24,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 from tailbeat.core.errors import TailbeatError, TransferError
-from tailbeat.core.files import replace_file, sync_folder, temporary_beside, try_lock
+from tailbeat.core.files import replace_file, temporary_beside
+from tailbeat.core.platform.files import renames_open_files, sync_folder, try_lock
 from tailbeat.core.records import crc32
 from tailbeat.link.ftp.wire import (
     BURST,
@@ -394,8 +395,8 @@ class PartFile:
             return
         self._file.flush()
         os.fsync(self._file.fileno())
-        if os.name == "nt":
-            self._end()  # what is open has no other name there
+        if not renames_open_files():
+            self._end()
         self._part.replace(self._local)
         self._note.unlink(missing_ok=True)
         self._end()

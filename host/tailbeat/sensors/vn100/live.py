@@ -5,10 +5,8 @@ The driver is firmware/imu/driver.h; nothing is saved in the sensor.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 import serial
@@ -25,6 +23,7 @@ from tailbeat.core.faults import (
 )
 from tailbeat.core.imu_fields import error_words
 from tailbeat.core.native import ffi, lib
+from tailbeat.core.platform.ports import is_serial_port
 from tailbeat.link.serial import SerialTransport
 from tailbeat.link.sockets import TcpTransport
 from tailbeat.link.transport import Transport
@@ -236,11 +235,7 @@ class TcpSource(TcpTransport):
 
 def is_port(what: str) -> bool:
     """Whether this means a live source rather than a file."""
-    if what.startswith("tcp:"):
-        return True
-    if sys.platform == "win32":
-        return what.upper().removeprefix("\\\\.\\").startswith("COM")
-    return Path(what).is_char_device()
+    return what.startswith("tcp:") or is_serial_port(what)
 
 
 def open_source(what: str, baud: int = DEFAULT_BAUD) -> Source:

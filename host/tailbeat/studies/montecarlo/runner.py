@@ -25,7 +25,8 @@ from tailbeat.core.decode import read
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.extras import LazyModule, need
 from tailbeat.core.files import replace_file, replacing
-from tailbeat.core.parallel import cores_here, each_result, one_thread
+from tailbeat.core.parallel import each_result, one_thread
+from tailbeat.core.platform.programs import cores_here
 from tailbeat.studies.montecarlo.cell import Cell, cells, run_cell
 from tailbeat.studies.montecarlo.recipe import Recipe, parse
 from tailbeat.studies.montecarlo.results import Table, identity, parquet, pyarrow, schema, to_bytes

@@ -110,7 +110,7 @@ def plug(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[.
 
     node = tmp_path / "video0"
     node.touch()
-    monkeypatch.setattr(device, "_node", lambda _: node)
+    monkeypatch.setattr(device, "camera_node", lambda _: node)
     yield plugged
     for driver in made:
         driver.blocked.set()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import os
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from tailbeat.core.errors import InputError
+from tailbeat.core.platform.ports import camera_node
 from tailbeat.sensors.camera import cv2
 from tailbeat.sensors.camera.source.picture import Image, PictureSource, TimedImage, size_of
 
@@ -184,7 +184,7 @@ class Device(PictureSource):
         shot = self._capture.next(_PICTURE_S)
         if shot is None:
             self.close()
-            node = _node(self._address)
+            node = camera_node(self._address)
             if node is not None and not node.exists():
                 raise InputError(f"{self.name} was unplugged.", "Plug it in and begin again.")
             raise InputError(f"{self.name} gives no more pictures.", _NO_PICTURES)
@@ -227,9 +227,8 @@ def _started(address: str, size_px: tuple[int, int] | None) -> tuple[Capture, Sh
 def _opened(address: str, size_px: tuple[int, int] | None, jpeg: bool) -> Any:
     log = cv2.utils.logging
     log.setLogLevel(log.LOG_LEVEL_SILENT)  # it has its own words for what we say in one line
-    linux = sys.platform.startswith("linux")
     where = int(address) if address.isdecimal() else address
-    capture = cv2.VideoCapture(where, cv2.CAP_V4L2 if linux else cv2.CAP_ANY)
+    capture = cv2.VideoCapture(where, cv2.CAP_V4L2 if camera_node(address) else cv2.CAP_ANY)
     if jpeg:
         capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
     if size_px:
@@ -238,15 +237,8 @@ def _opened(address: str, size_px: tuple[int, int] | None, jpeg: bool) -> Any:
     return capture
 
 
-def _node(address: str) -> Path | None:
-    """Its file; None = this system has none for cameras."""
-    if not sys.platform.startswith("linux"):
-        return None
-    return Path(f"/dev/video{address}" if address.isdecimal() else address)
-
-
 def _check_node(address: str) -> None:
-    node = _node(address)
+    node = camera_node(address)
     if node is None:
         return
     if not node.exists():
