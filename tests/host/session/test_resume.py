@@ -714,5 +714,5 @@ def test_words_for_people(swapped: Fish, experiment: Experiment) -> None:
     from tailbeat.app.cli.session import _restored_lines
 
     lines = _restored_lines(found, experiment).splitlines()
-    assert lines[0].startswith("given back, as") and "ILC_LEAD 1.5" in lines[0]
+    assert lines[0].startswith("restored as") and "ILC_LEAD 1.5" in lines[0]
     assert "iteration 5 is next, 8.3" in lines[-1]

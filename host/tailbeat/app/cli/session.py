@@ -312,7 +312,7 @@ def _restored_lines(found: Restored, experiment: Experiment) -> str:
     before, trial = found.params_before, found.pending_trial
     given = [f"{name} {value:g} (it had {before[name]:g})" for name, value in found.params.items()]
     given += ["the reference"] * found.reference + ["all that was learned"] * found.learned
-    what = f"given back, as the experiment last had it: {', '.join(given)}"
+    what = f"restored as the experiment last had it: {', '.join(given)}"
     return lines_of(
         what if given else "the board lacks nothing",
         [f"tailbeat: {note}" for note in found.notes],
