@@ -99,7 +99,7 @@ class _Agrees:
                 self.measuring_runs = self.executed
             case TrialStarted():
                 self.executed += 1
-                what = f"run {self.executed} of {self.runs}"
+                what = f"trial {self.executed} of {self.runs}"
                 self.progress(min(1.0, (self.executed - 1) / self.runs), what)
 
     def wants_abort(self) -> bool:

@@ -134,7 +134,7 @@ class IdentificationSeries:
         """What was measured. Raises InputError when it was nothing."""
         if not trial.measured.any():
             raise InputError(
-                f"run {run.number} has no speeds.", "Look at the camera; then identify again."
+                f"identification trial {run.number} has no speeds.", "Look at the camera; then identify again."
             )
         self.trials.append(trial)
         self.cruised_rad = run.cruise_rad

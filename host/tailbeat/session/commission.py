@@ -156,7 +156,7 @@ class _Session:
         )
         store_measured(self.fish, found)
         model = found.identified.model
-        runs = f"{found.runs} run{'' if found.runs == 1 else 's'}"
+        runs = f"{found.runs} trial{'' if found.runs == 1 else 's'}"
         return CommissionStep(
             "measure",
             True,

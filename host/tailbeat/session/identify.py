@@ -157,13 +157,13 @@ class _IdentificationRunner:
         self.board.fish.clear()
         if self.stopped:
             raise TailbeatError(
-                f"run {run.number} was {BY_HAND}.",
+                f"identification trial {run.number} was {BY_HAND}.",
                 "The board has back what it held; begin again when it is put right.",
             )
         if end in NO_ROOM and beats > 2:
             return
         raise TailbeatError(
-            f"run {run.number} ended with {end} after {beats} beats.",
+            f"identification trial {run.number} ended with {end} after {beats} beats.",
             "Put it right, then identify again.",
         )
 

@@ -232,8 +232,8 @@ class _Runs:
         if outcome.end in NO_ROOM and outcome.executed_beats >= _TELLING_BEATS:
             return
         raise TailbeatError(
-            f"run {self.count + 1} ended with {outcome.end} after {outcome.executed_beats} beats;"
-            " the limit stays.",
+            f"identification trial {self.count + 1} ended with {outcome.end} after"
+            f" {outcome.executed_beats} beats; the limit stays.",
             "Put it right, then begin again with the same command.",
         )
 

@@ -210,7 +210,7 @@ def test_speeds_that_nobody_measured() -> None:
             amplitude, np.full(len(amplitude), np.nan), np.full(len(amplitude), 0.001)
         )
 
-    with pytest.raises(InputError, match="run 1 has no speeds"):
+    with pytest.raises(InputError, match="identification trial 1 has no speeds"):
         identify_runs(blind, Limits(0.5), quick=True)
 
 
@@ -318,7 +318,7 @@ def test_stopped_by_hand_in_a_beat(learned: Fish, board: SimBoard) -> None:
             pressed.append(event)
 
     attendant = IdentificationHooks(event=event, wants_abort=lambda: bool(pressed))
-    with pytest.raises(TailbeatError, match="run 1 was stopped by hand"):
+    with pytest.raises(TailbeatError, match="identification trial 1 was stopped by hand"):
         identify_fish(learned, attendant, quick=True)
     assert state(learned) == before
     assert len(board.world.true_beats()) <= 6
@@ -543,7 +543,7 @@ def test_a_real_fish_waits_for_somebody(
     assert run(line) == 0
     out, err = capsys.readouterr()
     assert len(asked) == 4
-    assert "run 1, cruise: 28 beats, up to 0.32 rad (18 degrees)" in err
+    assert "identification trial 1, cruise: 28 beats, up to 0.32 rad (18 degrees)" in err
     kept = sorted(path.name for path in tmp_path.rglob("*.ulg"))
     assert len(kept) == 4
     assert "the board has no reference yet" in out
@@ -563,7 +563,7 @@ def test_a_run_is_announced_but_not_with_json(
     view.before(IdentificationRun(1, "cruise", 0.3, still, still, 0.2, 0.4))
     json_asked.reset(asked)
     err = capsys.readouterr().err
-    assert err == "" if with_json else err.startswith("run 1, cruise: 3 beats, up to 0.30 rad")
+    assert err == "" if with_json else err.startswith("identification trial 1, cruise: 3 beats, up to 0.30 rad")
 
 
 @pytest.mark.parametrize("yes", [False, True])

@@ -200,7 +200,7 @@ def test_a_run_that_fails_says_so_and_puts_the_limit_back(fish: Fish) -> None:
             if isinstance(event, TrialStarted):
                 fish.sim.world.set_battery_v(5.0)  # type: ignore[union-attr]
 
-    with pytest.raises(TailbeatError, match="run 1 ended with"):
+    with pytest.raises(TailbeatError, match="identification trial 1 ended with"):
         measure_fish(fish, THESIS, Unlucky())
     assert fish.params.get("AMP_MAX_RAD").value == 0.5
 

@@ -249,7 +249,7 @@ class RunView:
             self.operator.tell(event)
         elif self.run is not None:
             number, beats = self.run.number, (event.beat + 1) / self.run.beats
-            text = f"run {number}, beat {event.beat + 1}"
+            text = f"identification trial {number}, beat {event.beat + 1}"
             self.bar(min(1.0, (number - 1 + beats) / (len(FRACTIONS) + 1)), text)
             if self.check is not None:
                 stop = "" if self.operator.keys is None else "; any key stops it"
@@ -269,8 +269,8 @@ def ask_for_speeds(trial: int, beats: int, beat_s: float) -> ArrayLike:
 def _run_text(run: IdentificationRun, limits: Limits) -> str:
     room = f" of {limits.usable_m:.2f} m" if math.isfinite(limits.usable_m) else ""
     return (
-        f"run {run.number}, {run.kind}: {run.beats} beats, up to {run.cruise_rad:.2f} rad "
-        f"({math.degrees(run.cruise_rad):.0f} degrees); about {run.travel_m:.2f} m, at worst "
+        f"identification trial {run.number}, {run.kind}: {run.beats} beats, up to "
+        f"{run.cruise_rad:.2f} rad ({math.degrees(run.cruise_rad):.0f} degrees); about {run.travel_m:.2f} m, at worst "
         f"{run.travel_worst_m:.2f}{room}"
     )
 

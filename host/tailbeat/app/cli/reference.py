@@ -51,8 +51,8 @@ def _bound_lines(around: ErrorBoundRange, assumed: Sequence[str]) -> list[str]:
     the fish was not identified."""
     found, (low, high) = around.bound, around.minimax_m_s
     lines = [
-        f"error bound {mm(found.minimax_m_s)} mm/s ({mm(low)} to {mm(high)}): no input leaves less"
-        f" on the identified model; the L2-optimal input leaves {mm(found.lsq_max_abs_m_s)}",
+        f"error bound {mm(found.minimax_m_s)} mm/s ({mm(low)} to {mm(high)}); "
+        f"the L2-optimal input leaves {mm(found.lsq_max_abs_m_s)}",
         *map(_spot_text, found.spots),
     ]
     if assumed:

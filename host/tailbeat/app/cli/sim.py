@@ -117,7 +117,7 @@ def _both_text(both: TwoLaws) -> str:
     seed = "" if first.seed is None else f", seed {first.seed}"
     return lines_of(
         f"one fish (plant {first.plant}{seed}), twice from unknown; errors in mm/s, over beats",
-        table(["law", "to measure", "trials", "best max|e|", "in run"], rows, left=(0,)),
+        table(["law", "identification", "trials", "best max|e|", "in trial"], rows, left=(0,)),
         bound is not None
         and f"error bound {mm(bound)} mm/s: no input can do better on this fish without noise",
         "host and board agree bit for bit",

@@ -1,4 +1,4 @@
-"""Two laws on the same fish: the error of every run in the water, and the best trial of each."""
+"""Two laws on the same fish: the error of every trial, and the best trial of each."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def draw_two_laws(runs: Sequence[LawRun], bound_m_s: float | None, path: Path) -
 
 def _name(one: LawRun) -> str:
     best = one.best
-    return f"{one.name}: best {mm(best.max_abs_error_m_s)} mm/s, run {one.run_of(best)}"
+    return f"{one.name}: best {mm(best.max_abs_error_m_s)} mm/s, trial {one.run_of(best)}"
 
 
 def _errors(axes: Axes, runs: Sequence[LawRun], bound_m_s: float | None) -> None:
@@ -97,7 +97,7 @@ def _errors(axes: Axes, runs: Sequence[LawRun], bound_m_s: float | None) -> None
     last = max(one.measuring_runs + len(one.analysis.rows) for one in runs)
     axes.set_xlim(0.4, last + 0.6)
     axes.xaxis.set_major_locator(mpl_ticker.MaxNLocator(integer=True))
-    axes.set_xlabel("run in the water")
+    axes.set_xlabel("trial, with those for identification")
     axes.set_ylabel("largest error of any beat (mm/s)")
 
 
@@ -106,7 +106,7 @@ def _measuring(axes: Axes, count: int) -> None:
         return
     axes.axvspan(0.4, count + 0.5, color=_REFERENCE, alpha=0.5, lw=0, zorder=0.2)
     axes.annotate(
-        f"{count} trials to\nmeasure the fish", (0.02, 0.03),
+        f"{count} identification\ntrials", (0.02, 0.03),
         xycoords="axes fraction", fontsize=PAGE.small_pt, color=INK, va="bottom", zorder=6,
     )  # fmt: skip
 
