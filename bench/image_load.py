@@ -7,6 +7,7 @@ share of time is an estimate, the numbers of instructions are not.
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections.abc import Callable
@@ -176,7 +177,8 @@ def show(measured: dict[str, Busy]) -> None:
     for name, busy in measured.items():
         per_s = busy.instructions / busy.simulated_s
         in_tick = statistics.median(busy.tick_instructions)
-        speed = busy.simulated_s / busy.cpu_s
+        # Less than a tick of the clock of CPU time: too short to tell.
+        speed = busy.simulated_s / busy.cpu_s if busy.cpu_s else math.inf
         print(
             f"  {name:26} {busy.busy_share:6.1%} {per_s / 1e6:13.2f} M {in_tick:10.0f}"
             f" {speed:8.1f} x real time"
