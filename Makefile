@@ -26,7 +26,8 @@ TEST_CPU_MAX_S := 1050
 UNLIMITED := -o faulthandler_timeout=0
 
 # Without what it has compiled kept, each process compiles all tests anew, for 15 s.
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n auto --dist worksteal
+# One process more than cores: the tests of the page, and of a board in real time, mostly wait.
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $$(($$(nproc) + 1)) --dist worksteal
 
 .PHONY: help demo test image qemu soak bench firmware sbom flash size check docs dist clean lock bootstrap package \
 	unit host_tests coverage toolchain fuzz bench_programs

@@ -273,9 +273,11 @@ def _begin_anew(browser: Browser) -> None:
 
 
 def _abort(browser: Browser) -> None:
-    """In the middle of the fourth, with the key of a laptop; dropped with a reason."""
+    """In the middle of the fourth, with the key of a laptop; dropped with a reason. Only a trial
+    with speeds is decided on: a starved camera has none for a while."""
     _start(browser, "swimming")
     browser.until("/beat ([4-9]|[0-9]{2,}) of/.test(document.querySelector('.headline').innerText)")
+    browser.chart("speed-chart", 1, 3)
     browser.require_abort(*LAPTOP)
     ActionChains(browser.driver).send_keys(Keys.ESCAPE).perform()
     browser.phase("deciding")
