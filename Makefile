@@ -20,7 +20,7 @@ PYTHON_SOURCES := $(wildcard docs/*.py docs/diagrams/*.py) host tests tools wire
 # Runs all that it is given, whatever fails, and sums up.
 RUN_ALL := $(BIN)/python tools/run_all.py
 # CPU seconds of all tests, their builds included.
-TEST_CPU_MAX_S := 1050
+TEST_CPU_MAX_S := 900
 
 # For what takes long on purpose: no limits of time (tests/conftest.py).
 UNLIMITED := -o faulthandler_timeout=0
