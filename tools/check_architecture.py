@@ -21,16 +21,17 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "tailbeat"
 
 # How things are; these numbers and lists only get smaller. The goals: 230 files, 36 000 lines. They
-# grew ten times: by a second plant, learned scatter, honest sigmas and the IMU's calibration; by
+# grew eleven times: by a second plant, learned scatter, honest sigmas and the IMU's calibration; by
 # the guided job (start, health, measure, the law of each input); by the diagnosis of every trial,
 # the stream of what the board reports, the demo's two laws and the page that leads through the
 # whole job; by recordings as rows and fits of many trials at once; by the comparison of departures;
 # by what connected commands load apart from the rest; by a trial's conversation in C, what is kept
 # of trials and bounds, and the cost of an idle page; by exports with units and wall-clock time
 # (MCAP with films, ULog); by what works without the clone (the packaged image and tests, flashing
-# as a dry run); by one place for what differs between systems, each function of which can be faked.
-FILES_MAX = 283
-CODE_LINES_MAX = 44_710
+# as a dry run); by one place for what differs between systems, each function of which can be faked;
+# by the ledger of the thesis's claims, with those of section 8.5.2 and the bounds of its theorems.
+FILES_MAX = 284
+CODE_LINES_MAX = 44_840
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

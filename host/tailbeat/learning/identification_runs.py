@@ -134,7 +134,8 @@ class IdentificationSeries:
         """What was measured. Raises InputError when it was nothing."""
         if not trial.measured.any():
             raise InputError(
-                f"identification trial {run.number} has no speeds.", "Look at the camera; then identify again."
+                f"identification trial {run.number} has no speeds.",
+                "Look at the camera; then identify again.",
             )
         self.trials.append(trial)
         self.cruised_rad = run.cruise_rad

@@ -563,7 +563,11 @@ def test_a_run_is_announced_but_not_with_json(
     view.before(IdentificationRun(1, "cruise", 0.3, still, still, 0.2, 0.4))
     json_asked.reset(asked)
     err = capsys.readouterr().err
-    assert err == "" if with_json else err.startswith("identification trial 1, cruise: 3 beats, up to 0.30 rad")
+    assert (
+        err == ""
+        if with_json
+        else err.startswith("identification trial 1, cruise: 3 beats, up to 0.30 rad")
+    )
 
 
 @pytest.mark.parametrize("yes", [False, True])

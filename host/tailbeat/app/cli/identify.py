@@ -270,8 +270,8 @@ def _run_text(run: IdentificationRun, limits: Limits) -> str:
     room = f" of {limits.usable_m:.2f} m" if math.isfinite(limits.usable_m) else ""
     return (
         f"identification trial {run.number}, {run.kind}: {run.beats} beats, up to "
-        f"{run.cruise_rad:.2f} rad ({math.degrees(run.cruise_rad):.0f} degrees); about {run.travel_m:.2f} m, at worst "
-        f"{run.travel_worst_m:.2f}{room}"
+        f"{run.cruise_rad:.2f} rad ({math.degrees(run.cruise_rad):.0f} degrees);"
+        f" about {run.travel_m:.2f} m, at worst {run.travel_worst_m:.2f}{room}"
     )
 
 

@@ -183,7 +183,7 @@ def _lines(claim: Claim, columns: tuple[int, ...], width: int) -> Iterator[str]:
     measured = _figure(plain(claim.measured))
     fits = len(measured) <= columns[-1]
     beside = measured if fits else "see below"
-    yield from _row((claim.text, claim.source, claim.verdict, beside), columns)
+    yield from _row((claim.claim, claim.where, claim.verdict, beside), columns)
     if not fits:
         yield f"  measured: {measured}"
     if claim.note:

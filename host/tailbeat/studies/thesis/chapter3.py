@@ -40,7 +40,7 @@ _ITERATIONS1, _ITERATIONS2 = 20, 30
 _ORDERS = range(6)
 
 
-@claim(EX1, "eta_j = 3/20, their sum 3/4", _SOURCE1)
+@claim(EX1, "3-eta")
 def _eta(study: Study) -> Found:
     beta, trials = study.setting.beta, study.setting.m + 1
     eta = [held.contraction(beta, trials, _SLOPES, held.example1_reached())] * trials
@@ -48,7 +48,7 @@ def _eta(study: Study) -> Found:
     return Found(as_claimed, [eta[0], sum(eta)])
 
 
-@claim(EX1, "beta_j = 1/5 needs no more of the distribution than (3.34)", "(3.34), 3.4, example 1")
+@claim(EX1, "3-bounds")
 def _bounds(study: Study) -> Found:
     missed = 0.5
     rho = held.rho_least(missed, _SLOPES)
@@ -58,7 +58,7 @@ def _bounds(study: Study) -> Found:
     return Found(inside and rho < 1.0, [rho, low, high], note)
 
 
-@claim(EX1, "max|e| falls from 2.351 to 0.003035 within 20 iterations (m = 4)", _SOURCE1)
+@claim(EX1, "3-error")
 def _falls1(study: Study) -> Found:
     at, bound = _ITERATIONS1, 0.003035
     uncut = study.run(lengths="full").max_abs_error
@@ -79,7 +79,7 @@ def _of_order(setting: held.Moving, m: int, total: bool) -> held.Moving:
     return replace(setting, m=m, beta=1.0 / (m + 1) if total else setting.beta)
 
 
-@claim(EX1, "m = 0 … 4: a larger m converges faster; m = 5 is worse", _SOURCE1)
+@claim(EX1, "3-memory")
 def _more_memory(study: Study) -> Found:
     each, shared = (
         [
@@ -123,7 +123,7 @@ def _ratios(setting: held.Moving) -> F64:
     return np.where(np.isnan(errors[:, -1]), 0.0, errors[:, 0] / errors[:, -1])
 
 
-@claim(EX2, "||e||_s falls more than 90 times within 30 iterations", _SOURCE2)
+@claim(EX2, "3-fish-error")
 def _falls2(study: Study) -> Found:
     zero, first = _ratios(study.setting), _ratios(replace(study.setting, history="first"))
     with_zero, with_first = float(np.median(zero)), float(np.median(first))
@@ -135,7 +135,7 @@ def _falls2(study: Study) -> Found:
     return Found(falls and _escaped(study)[0] == 0.0, measured, note, falls)
 
 
-@claim(EX2, "The fish as printed, v' = -alpha v^2 + u, learns with zero history", _SOURCE2)
+@claim(EX2, "3-fish-printed")
 def _printed_drag(study: Study) -> Found:
     note = f"""Share of {len(_ESCAPE_SEEDS)} seeds whose speed escapes to minus infinity in a trial,
     with zero history and with u_0 as the history. Zero history makes u_1 negative; the fish
@@ -143,7 +143,7 @@ def _printed_drag(study: Study) -> Found:
     return Found(_escaped(study)[0] == 0.0, _escaped(study), note)
 
 
-@claim(EX2, "The reference can be followed by a fish that pushes only, u >= 0", _SOURCE2, ours=True)
+@claim(EX2, "3-fish-pushing")
 def _pushing_only(study: Study) -> Found:
     errors = replace(study.setting, low=0.0).problem().uncut(_ITERATIONS2)
     times = study.setting.times()

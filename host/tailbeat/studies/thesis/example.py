@@ -1,12 +1,12 @@
 """The nouns: an example, a run of it, what the thesis claims of it, what came out, what is drawn.
 
 An example is a row of data. Claims and figures are functions that name their example:
-``@claim(EXAMPLE, text, source)`` and ``@figure(EXAMPLE, file, name, caption)``.
+``@claim(EXAMPLE, id)`` and ``@figure(EXAMPLE, file, name, caption)``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.learner import Precision
+from tailbeat.studies.thesis.ledger import LedgerEntry, entries
 from tailbeat.studies.thesis.picture import Panel, Panels, draw
 
 Uptake = Literal["clip", "abs", "monod", "none"]
@@ -37,50 +38,49 @@ class ExampleOptions:
     precision: Precision = "double"  # of the laws; the plants always compute in double
 
 
-COMES_OUT = "comes out"
-UNDER_A_READING = "comes out under a stated reading"
-DOES_NOT = "does not come out"
-VERDICTS = (COMES_OUT, UNDER_A_READING, DOES_NOT)
+CONFIRMED = "confirmed"
+READING = "confirmed under a stated reading"
+NOT_CONFIRMED = "not confirmed"
+UNDECIDED = "cannot be decided from the text"
+VERDICTS = (CONFIRMED, READING, NOT_CONFIRMED, UNDECIDED)
 
 
 @dataclass(frozen=True)
-class Claim:
-    """One statement of the thesis, or beside it. ``measured``: the figure that was computed just
-    now, never one written down; ``note``: the reading taken, or why it does not come out;
-    ``ours``: the thesis does not say it, so it does not count among its claims."""
+class Claim(LedgerEntry):
+    """A claim that was judged. ``measured``: the figure that was computed just now, never one
+    written down; ``note``: the reading taken, or why it is not confirmed."""
 
-    text: str
-    source: str  # section, equation or figure of the thesis
-    verdict: str  # one of VERDICTS
-    measured: float | list[float] | str
+    verdict: str = UNDECIDED  # one of VERDICTS
+    measured: float | list[float] | str = ""
     note: str = ""
-    ours: bool = False
 
 
 @dataclass(frozen=True)
 class Found:
     """What the check of a claim found. ``holds``: as it is printed; ``reading``: under the reading
-    that the note states. The first outweighs the second. Lines of the note are joined."""
+    that the note states. The first outweighs the second. ``decided``: whether the text says enough
+    to decide. Lines of the note are joined."""
 
     holds: bool | np.bool_
     measured: ArrayLike
     note: str = ""
     reading: bool | np.bool_ = False
+    decided: bool = True
 
     @property
     def verdict(self) -> str:
         """One of ``VERDICTS``."""
-        return COMES_OUT if self.holds else UNDER_A_READING if self.reading else DOES_NOT
+        if not self.decided:
+            return UNDECIDED
+        return CONFIRMED if self.holds else READING if self.reading else NOT_CONFIRMED
 
 
 @dataclass(frozen=True)
 class Statement:
     """A claim that is yet to be judged, by ``check``."""
 
-    text: str
-    source: str
+    entry: LedgerEntry
     check: Callable[[Any], Found]
-    ours: bool
 
     def judge(self, study: Any) -> Claim:
         """The claim as the runs of ``study`` have it."""
@@ -88,7 +88,7 @@ class Statement:
         number = found.measured
         measured = number if isinstance(number, str) else np.asarray(number, np.float64).tolist()
         note = " ".join(found.note.split())
-        return Claim(self.text, self.source, found.verdict, measured, note, self.ours)
+        return Claim(**vars(self.entry), verdict=found.verdict, measured=measured, note=note)
 
 
 @dataclass(frozen=True)
@@ -182,15 +182,12 @@ class Example:
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def claim(
-    examples: Example | Sequence[Example], text: str, source: str, ours: bool = False
-) -> Callable[[Function], Function]:
-    """The function checks this claim: Study -> Found. Claims are judged in the order of their
-    functions. ``text`` is a template of the example's setting."""
+def claim(example: Example, entry_id: str) -> Callable[[Function], Function]:
+    """The function checks this claim of the ledger: Study -> Found. Claims are judged in the order
+    of their functions."""
 
     def keep(check: Function) -> Function:
-        for one in [examples] if isinstance(examples, Example) else examples:
-            one.claims.append(Statement(text.format(one.setting), source, check, ours))
+        example.claims.append(Statement(entries()[entry_id], check))
         return check
 
     return keep

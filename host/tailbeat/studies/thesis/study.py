@@ -200,6 +200,10 @@ class Study:
         """The example's."""
         return self.example.setting
 
+    def beside(self, example: Example) -> Study:
+        """A study of another example with the same options."""
+        return Study(example, self._options)
+
     def run(self, **changes: Any) -> ExampleRun:
         """A run of the example with the thesis's settings but for ``changes``."""
         return self.run_with(replace(self._options, **changes))

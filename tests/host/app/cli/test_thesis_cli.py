@@ -25,6 +25,7 @@ import numpy as np
 
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis import study as progress
+from tailbeat.studies.thesis.ledger import LedgerEntry
 from tailbeat.studies.thesis.example import (
     Example, ExampleRun, Found, Prepared, Sketch, Statement, VERDICTS,
 )
@@ -66,7 +67,8 @@ def first(study):
 
 
 def said(text, source, found, ours=False):
-    return Statement(text, source, found if callable(found) else lambda study: found, ours)
+    entry = LedgerEntry(text, text, source, "a number", "it is right", ours=ours)
+    return Statement(entry, found if callable(found) else lambda study: found)
 
 
 CLAIMS = (
@@ -147,7 +149,18 @@ def test_the_document(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert first["law"] == "P (2.3)" and first["iterations"] == [0, 1, 2, 3]
     assert first["max_abs_error"][:3] == pytest.approx([1.1, 0.55, 1.1 / 3], rel=1e-7)
     assert [set(claim) for claim in first["claims"]] == [
-        {"text", "source", "verdict", "measured", "note", "ours"}
+        {
+            "id",
+            "claim",
+            "where",
+            "quote",
+            "computed",
+            "criterion",
+            "ours",
+            "verdict",
+            "measured",
+            "note",
+        }
     ] * 4
     assert [claim["ours"] for claim in first["claims"]] == [False, False, False, True]
     assert first["claims"][0]["measured"] == pytest.approx(1.1 / 6, rel=1e-6)
@@ -156,10 +169,12 @@ def test_the_document(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert third["max_abs_error"] == [[1.0, 2.0], [None, 3.0], [0.5, None]]
     assert third["diverged_at"] == 4 and first["diverged_at"] is None
     assert found["verdicts"] == {
-        "comes out": 1, "comes out under a stated reading": 1, "does not come out": 1,
+        "confirmed": 1, "confirmed under a stated reading": 1, "not confirmed": 1,
+        "cannot be decided from the text": 0,
     }  # fmt: skip
     assert found["verdicts_ours"] == {
-        "comes out": 1, "comes out under a stated reading": 0, "does not come out": 0,
+        "confirmed": 1, "confirmed under a stated reading": 0, "not confirmed": 0,
+        "cannot be decided from the text": 0,
     }  # fmt: skip
 
 
@@ -171,10 +186,13 @@ def test_text_fits_a_hundred_columns(stubs: Path, capsys: pytest.CaptureFixture[
     assert lines[0] == "ch2-a: stub ch2-a; P (2.3)"
     assert lines[1] == "max|e| in iteration 0: 1.1, 1: 0.55, 2: 0.3667, 3: 0.275"
     assert "diverged at 4" in shown and "1: 1/2, 2: -/3, 3: 0.5/-" in shown
-    assert lines[-2:] == [
-        "claims: comes out 1, comes out under a stated reading 1, does not come out 1",
-        "beside them, not the thesis's: comes out 1, comes out under a stated reading 0, does not "
-        "come out 0",
+    assert [line.strip() for line in lines[-4:]] == [
+        "claims: confirmed 1, confirmed under a stated reading 1, not confirmed 1, cannot be"
+        " decided from the",
+        "text 0",
+        "beside them, not the thesis's: confirmed 1, confirmed under a stated reading 0, not"
+        " confirmed 0,",
+        "cannot be decided from the text 0",
     ]
     beside = lines.index(next(line for line in lines if line.startswith("beside the thesis's")))
     assert lines[beside + 2].startswith("said by nobody else")

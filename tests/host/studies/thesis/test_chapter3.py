@@ -13,9 +13,9 @@ import pytest
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis import chapter3
 from tailbeat.studies.thesis.example import (
-    COMES_OUT,
-    DOES_NOT,
-    UNDER_A_READING,
+    CONFIRMED,
+    NOT_CONFIRMED,
+    READING,
     Example,
     ExampleOptions,
 )
@@ -349,16 +349,16 @@ def test_claims() -> None:
         name: [claim.verdict for claim in coarse(example).judge()]
         for name, example in EXAMPLES.items()
     }
-    assert found["ch3-ex1"] == [COMES_OUT, COMES_OUT, COMES_OUT, UNDER_A_READING]
-    assert found["ch3-fish"] == [UNDER_A_READING, DOES_NOT, DOES_NOT]
+    assert found["ch3-ex1"] == [CONFIRMED, CONFIRMED, CONFIRMED, READING]
+    assert found["ch3-fish"] == [READING, NOT_CONFIRMED, NOT_CONFIRMED]
 
 
 @pytest.mark.usefixtures("quick")
 def test_verdicts_follow_the_computation() -> None:
     found = [claim.verdict for claim in coarse(EXAMPLES["ch3-ex1"], beta=0.05).judge()]
-    assert found[:2] == [DOES_NOT, DOES_NOT]
-    assert found[3] == DOES_NOT
-    assert coarse(EXAMPLES["ch3-fish"], kp=0.1).judge()[0].verdict == DOES_NOT
+    assert found[:2] == [NOT_CONFIRMED, NOT_CONFIRMED]
+    assert found[3] == NOT_CONFIRMED
+    assert coarse(EXAMPLES["ch3-fish"], kp=0.1).judge()[0].verdict == NOT_CONFIRMED
 
 
 @pytest.mark.usefixtures("quick")

@@ -17,9 +17,9 @@ from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis import chapter4
 from tailbeat.studies.thesis.chapter4 import EXAMPLE2_SIGN, EXAMPLE2_SMOOTH, EXAMPLES, apart, peaks
 from tailbeat.studies.thesis.example import (
-    COMES_OUT,
-    DOES_NOT,
-    UNDER_A_READING,
+    CONFIRMED,
+    NOT_CONFIRMED,
+    READING,
     Claim,
     Example,
     ExampleOptions,
@@ -314,9 +314,9 @@ class Coarse(Study):
 
 
 VERDICTS = {
-    "ch4-ex1": [COMES_OUT, UNDER_A_READING, COMES_OUT],
-    "ch4-ex2-sign": [COMES_OUT, DOES_NOT, COMES_OUT, DOES_NOT],
-    "ch4-ex2-smooth": [COMES_OUT, COMES_OUT, COMES_OUT],
+    "ch4-ex1": [CONFIRMED, READING, CONFIRMED],
+    "ch4-ex2-sign": [CONFIRMED, READING, CONFIRMED, NOT_CONFIRMED],
+    "ch4-ex2-smooth": [CONFIRMED, CONFIRMED, CONFIRMED],
 }
 
 
@@ -363,14 +363,18 @@ def test_verdicts_flip_with_what_comes_out(monkeypatch: pytest.MonkeyPatch) -> N
             return ExampleRun(np.arange(1, 111), series, traces=flat)
 
     judge = quick(monkeypatch)
-    assert judge("ch4-ex1")[0].verdict == COMES_OUT
+    assert judge("ch4-ex1")[0].verdict == CONFIRMED
     ex1, smooth = example("ch4-ex1"), example("ch4-ex2-smooth")
-    assert [c.verdict for c in Flat(ex1).judge()] == [DOES_NOT] * 3
+    assert [c.verdict for c in Flat(ex1).judge()] == [NOT_CONFIRMED] * 3
     assert [c.ours for c in Flat(ex1).judge()] == [False, False, True]
     sign = example("ch4-ex2-sign")
-    assert Flat(sign).judge()[0].verdict == DOES_NOT
+    assert Flat(sign).judge()[0].verdict == NOT_CONFIRMED
     grown = replace(flat, max_abs_error=np.linspace(0.1, 1, 100)[:, np.newaxis] * np.ones(2))
     assert grown.grows() and not flat.grows()
     monkeypatch.setattr(chapter4, "SAMPLED", {})
-    assert Flat(sign).judge()[1].verdict == COMES_OUT
-    assert Flat(smooth).judge()[1].verdict == COMES_OUT  # slower it is
+    assert Flat(sign).judge()[1].verdict == NOT_CONFIRMED
+    falling = 0.95 ** np.arange(100)[:, np.newaxis] * np.ones(2)
+    flat = replace(flat, max_abs_error=falling)
+    assert Flat(sign).judge()[1].verdict == CONFIRMED
+    flat = replace(flat, max_abs_error=series)
+    assert Flat(smooth).judge()[1].verdict == CONFIRMED  # slower it is

@@ -24,9 +24,9 @@ from tailbeat.studies.thesis.chapter5 import (
     inverse_by_norm,
 )
 from tailbeat.studies.thesis.example import (
-    COMES_OUT,
-    DOES_NOT,
-    UNDER_A_READING,
+    CONFIRMED,
+    NOT_CONFIRMED,
+    READING,
     Example,
     ExampleOptions,
     ExampleRun,
@@ -278,9 +278,9 @@ def test_iterations_begin_at_one() -> None:
 
 
 VERDICTS = {
-    "ch5-case1-sign": [COMES_OUT, COMES_OUT, DOES_NOT, COMES_OUT, COMES_OUT],
-    "ch5-case1-smooth": [COMES_OUT, COMES_OUT, UNDER_A_READING],
-    "ch5-case2": [COMES_OUT, COMES_OUT, COMES_OUT, DOES_NOT],
+    "ch5-case1-sign": [CONFIRMED, CONFIRMED, READING, CONFIRMED, CONFIRMED],
+    "ch5-case1-smooth": [CONFIRMED, CONFIRMED, READING],
+    "ch5-case2": [CONFIRMED, CONFIRMED, CONFIRMED, NOT_CONFIRMED],
 }
 
 
@@ -303,24 +303,24 @@ def test_the_norm_of_the_inverse(monkeypatch: pytest.MonkeyPatch) -> None:
     first = [2 + math.sin(1.0), 1 + math.sin(-0.75)]
     assert input_gain(np.zeros(1))[:, 0] == pytest.approx(first)
     monkeypatch.setattr(chapter5, "input_gain", lambda t: np.full((2, len(t)), -1.5))
-    assert Study(example("ch5-case2")).judge()[3].verdict == COMES_OUT
+    assert Study(example("ch5-case2")).judge()[3].verdict == CONFIRMED
 
 
 def test_what_is_ours_follows_what_is_computed() -> None:
     """The cures, judged on the law that they cure."""
     growing = run_trials(replace(CASE1_SIGN, grid=TimeGrid(1000, "held")), 1000)
     kept = run_trials(replace(CASE1_SIGN, grid=TimeGrid(1000, "held"), dead_zone=0.02), 1000)
-    assert [bounded(trials).verdict for trials in (growing, kept)] == [DOES_NOT, COMES_OUT]
+    assert [bounded(trials).verdict for trials in (growing, kept)] == [NOT_CONFIRMED, CONFIRMED]
     sign = example("ch5-case1-sign")
-    assert [one.ours for one in sign.claims] == [False, False, False, True, True]
+    assert [one.entry.ours for one in sign.claims] == [False, False, False, True, True]
 
 
 def test_rho_has_to_bound() -> None:
     smooth = example("ch5-case1-smooth")
     check = smooth.claims[2].check
-    assert check(Study(smooth)).verdict == UNDER_A_READING
+    assert check(Study(smooth)).verdict == READING
     less = smooth.with_setting(replace(CASE1_SMOOTH, bound=0.9))
-    assert check(Study(less)).verdict == DOES_NOT
+    assert check(Study(less)).verdict == NOT_CONFIRMED
 
 
 @pytest.mark.soak
@@ -333,7 +333,7 @@ def test_verdicts(id: str, tmp_path: Path) -> None:
 
 
 def test_verdicts_flip_with_what_comes_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    bad = run_trials(replace(CASE2, grid=TimeGrid(100, "held")), 50)
+    bad = run_trials(replace(CASE2, grid=TimeGrid(100, "held")), 50, traced={50})
     rough = replace(
         bad, max_abs_error=bad.max_abs_error + 0.1, input_variation=1e6 + bad.input_variation
     )
@@ -348,6 +348,6 @@ def test_verdicts_flip_with_what_comes_out(monkeypatch: pytest.MonkeyPatch) -> N
     def judged(id: str) -> list[str]:
         return [claim.verdict for claim in Rough(example(id)).judge()]
 
-    assert judged("ch5-case2")[:2] == [DOES_NOT, DOES_NOT]
-    assert judged("ch5-case1-smooth")[0] == DOES_NOT
-    assert judged("ch5-case1-sign")[:3] == [DOES_NOT, COMES_OUT, COMES_OUT]
+    assert judged("ch5-case2")[:2] == [NOT_CONFIRMED, NOT_CONFIRMED]
+    assert judged("ch5-case1-smooth")[0] == NOT_CONFIRMED
+    assert judged("ch5-case1-sign")[:3] == [NOT_CONFIRMED, CONFIRMED, NOT_CONFIRMED]

@@ -17,6 +17,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis import picture, study
 from tailbeat.studies.thesis.example import ExampleOptions, ExampleRun, Prepared
 from tailbeat.studies.thesis.learner import Precision, load, pointer
+from tailbeat.studies.thesis.ledger import SampledRun
 from tailbeat.studies.thesis.options import Span, errors_beyond, last_iteration
 from tailbeat.studies.thesis.picture import REFERENCE, Curve, Panel, Panels
 
@@ -142,8 +143,21 @@ class LoopTrials:
         """Whether the errors have passed a minimum and risen well above it, or diverged."""
         if self.diverged is not None:
             return True
-        worst = np.convolve(self.max_abs_error.max(axis=1), np.full(10, 0.1), "valid")
+        worst = self._mean_of_ten()
         return bool(worst[-1] > _GROWTH * worst.min())
+
+    def _mean_of_ten(self) -> F64:
+        return np.convolve(self.max_abs_error.max(axis=1), np.full(10, 0.1), "valid")
+
+    def sampled(self, step: float, shown: int) -> SampledRun:
+        """For the standard of continuous-time theorems. Promised is that the errors fall: by 80 %
+        up to trial ``shown``, and never well above their least."""
+        falls = self.largest(shown) < 0.2 * self.largest(1)
+        if len(self.max_abs_error) < 10:
+            return SampledRun(step, falls, self.diverged)
+        worst = self._mean_of_ten()
+        risen = np.flatnonzero(worst > _GROWTH * np.minimum.accumulate(worst))
+        return SampledRun(step, falls, int(risen[0]) + 10 if len(risen) else self.diverged)
 
 
 _ROWS = ("max_abs_error", "input_variation", "max_abs_input", "max_estimate")
