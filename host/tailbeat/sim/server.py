@@ -177,8 +177,7 @@ class _Pty:
         if ends is None:
             raise InputError("this system has no ptys.", "Use the TCP port.")
         self._selector = selector
-        self._master, self._slave = ends
-        self.path = os.ttyname(self._slave)
+        self._master, self._slave, self.path = ends
         selector.register(self._master, selectors.EVENT_READ, _nothing)
 
     def read(self) -> bytes:

@@ -21,23 +21,49 @@ from tailbeat.core.platform import ports, programs
 from tailbeat.core.platform.terminal import Keys, TerminalGone, terminal_keys
 
 SYSTEMS = ("linux", "darwin", "win32")
-OF_ONE_SYSTEM = {"msvcrt", "termios", "tty", "pty", "fcntl", "winreg", "resource"}
+posix = pytest.mark.skipif(sys.platform == "win32", reason="a POSIX terminal")
+MODULES = {"msvcrt", "termios", "tty", "pty", "fcntl", "winreg", "resource", "platform"}
+NAMES = {
+    "os": {"name", "uname", "ttyname", "openpty", "set_blocking", "sched_getaffinity", "O_BINARY"},
+    "signal": {"SIGHUP"},
+    "sys": {"platform", "getwindowsversion"},
+}
 
 
 def asks_for_the_system(node: ast.AST) -> bool:
-    """``sys.platform``, ``os.name``, ``hasattr(os, ...)``, a module that not every system has."""
+    """``sys.platform``, ``os.name``, ``hasattr(os, ...)``, what not every system has."""
     match node:
-        case ast.Attribute(value=ast.Name("sys"), attr="platform"):
-            return True
-        case ast.Attribute(value=ast.Name("os"), attr="name"):
-            return True
+        case ast.Attribute(ast.Name(module), name):
+            return name in NAMES.get(module, ())
         case ast.Import(found):
-            return any(one.name in OF_ONE_SYSTEM or one.name == "platform" for one in found)
-        case ast.ImportFrom(module):
-            return module in OF_ONE_SYSTEM or module == "platform"
-        case ast.Call(ast.Name("hasattr" | "getattr"), [ast.Name("os" | "signal"), *_]):
-            return True
+            return any(one.name in MODULES or (one.name in NAMES and one.asname) for one in found)
+        case ast.ImportFrom(module, found):
+            return module in MODULES or any(one.name in NAMES.get(module, ()) for one in found)
+        case ast.Call(ast.Name("hasattr" | "getattr"), [ast.Name(module), *_]):
+            return module in NAMES
+        case ast.Call(ast.Attribute(attr=name) | ast.Name(name), [ast.Constant(module), *_]):
+            return name in ("import_module", "__import__") and module in MODULES
     return False
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "sys.platform",
+        "from sys import argv, platform",
+        "import os as system",
+        "from os import name",
+        "hasattr(os, 'fork')",
+        "getattr(sys, 'platform')",
+        "os.ttyname(0)",
+        "import json, termios",
+        "from fcntl import flock",
+        "importlib.import_module('msvcrt')",
+        "import_module('pty')",
+    ],
+)
+def test_what_asks_for_the_system(line: str) -> None:
+    assert any(map(asks_for_the_system, ast.walk(ast.parse(line))))
 
 
 def test_nothing_else_asks_which_system_it_is() -> None:
@@ -126,6 +152,20 @@ def test_posix_waits_for_a_port() -> None:
 def test_a_system_without_ptys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pty", None)
     assert ports.open_pty() is None
+
+
+@posix
+def test_a_pty() -> None:
+    ends = ports.open_pty()
+    assert ends is not None
+    near, far, path = ends
+    try:
+        assert not os.get_blocking(near)
+        Path(path).write_bytes(b"raw\n")
+        assert os.read(near, 9) == b"raw\n", "no carriage return is put in"
+    finally:
+        os.close(near)
+        os.close(far)
 
 
 def test_windows_of_a_browser() -> None:
@@ -229,9 +269,6 @@ def test_keys_of_windows(monkeypatch: pytest.MonkeyPatch) -> None:
         assert not keys.pressed() and keys.key(0.0) is None
         monkeypatch.setattr("builtins.input", lambda: "bumped the wall")
         assert keys.line() == "bumped the wall"
-
-
-posix = pytest.mark.skipif(sys.platform == "win32", reason="a POSIX terminal")
 
 
 @pytest.fixture

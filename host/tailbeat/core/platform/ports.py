@@ -70,9 +70,9 @@ def wait_for_bytes(port: Any, timeout_s: float, system: str = sys.platform) -> N
         time.sleep(min(_LOOK_S, left_s))
 
 
-def open_pty() -> tuple[int, int] | None:
-    """Both ends of a raw pseudo-terminal, the first without blocking; None where there are none.
-    The caller closes them."""
+def open_pty() -> tuple[int, int, str] | None:
+    """Both ends of a raw pseudo-terminal, the first without blocking, and the path of the other;
+    None where there are none. The caller closes both."""
     try:
         pty, tty = (importlib.import_module(name) for name in ("pty", "tty"))
     except ImportError:
@@ -80,4 +80,4 @@ def open_pty() -> tuple[int, int] | None:
     near, far = pty.openpty()
     tty.setraw(far)
     os.set_blocking(near, False)
-    return near, far
+    return near, far, os.ttyname(far)
