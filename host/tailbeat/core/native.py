@@ -16,7 +16,7 @@ from typing import Any
 
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.extras import reinstall
-from tailbeat.core.platform.programs import library_name
+from tailbeat.core.platform.programs import LIBRARY_FLAGS, library_name
 
 HERE = Path(__file__).parent
 
@@ -47,7 +47,7 @@ def load_library(name: str, folder: Path = HERE) -> Native:
     """Loads the library tailbeat_NAME by the types in _NAME_types.py; raises as ``load``."""
     found, library = load_types(name, folder), _present(folder / library_name(f"tailbeat_{name}"))
     try:
-        return Native(found, found.dlopen(str(library)))
+        return Native(found, found.dlopen(str(library), LIBRARY_FLAGS))
     except OSError as error:
         raise NativeLibraryError(f"{library.name} does not load ({error})", reinstall()) from error
 

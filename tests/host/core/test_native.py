@@ -78,3 +78,19 @@ def _resolves(name: str) -> bool:
     except AttributeError:
         return False
     return True
+
+
+_OUTLIVED = """
+import gc
+from tailbeat.core import native
+loaded = native.load_library("native")
+layout = loaded.lib.native_layout
+del loaded
+gc.collect()
+assert layout().name
+"""
+
+
+def test_functions_outlive_the_library() -> None:
+    """When Python ends, objects may be freed by C after the library itself was collected."""
+    assert subprocess.run([sys.executable, "-c", _OUTLIVED], check=False).returncode == 0

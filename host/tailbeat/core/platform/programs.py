@@ -8,6 +8,10 @@ import signal
 import sys
 from collections.abc import Mapping
 
+# A library stays loaded to the very end: objects that outlive it are freed by its functions, when
+# Python ends, in any order. Windows takes no flags.
+LIBRARY_FLAGS = getattr(os, "RTLD_NOW", 0) | getattr(os, "RTLD_NODELETE", 0)
+
 _LIBRARY = {"win32": ".dll", "darwin": ".dylib"}
 _PROGRAM = {"win32": ".exe"}
 

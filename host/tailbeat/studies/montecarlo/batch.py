@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib, load_types
+from tailbeat.core.platform.programs import LIBRARY_FLAGS
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.fish_model import SIGMA_M_S
 from tailbeat.sim.config import senseless
@@ -103,7 +104,7 @@ def foreign_plant(path: str) -> tuple[Any, Any]:
     """(cffi instance, library). Raises InputError when it is none, or of another version."""
     found = load_types("plant")
     try:
-        library: Any = found.dlopen(str(Path(path).resolve()))
+        library: Any = found.dlopen(str(Path(path).resolve()), LIBRARY_FLAGS)
         abi = library.tailbeat_plant_abi()
         library.tailbeat_plant_trial  # noqa: B018 - looked up now, not in the middle of a study
     except (OSError, AttributeError) as error:
