@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import re
 import secrets
 import shutil
 import sys
@@ -33,6 +34,7 @@ from tailbeat.studies.montecarlo.summary import (
 )
 from tailbeat.studies.thesis import study
 from tailbeat.studies.thesis.example import VERDICTS, Claim, Example, ExampleOptions
+from tailbeat.studies.thesis.picture import contact_sheet
 from tailbeat.studies.thesis.study import Result, checked, choose
 
 _WIDTH, _WIDTH_MIN, _WIDTH_MAX = 100, 72, 120  # of lines; the first where no terminal is
@@ -92,12 +94,22 @@ def thesis(
             echo("tailbeat: stopped; nothing is kept. Run it again.", err=True)
             raise typer.Exit(130) from None
     found = [(one, result) for (one, _), result in zip(chosen, results, strict=True)]
+    if figures is not None:
+        _contact_sheet(results, figures)
     document = {
         "examples": [_thesis_document(one, result) for one, result in found],
         "verdicts": _counts(results, ours=False),
         "verdicts_ours": _counts(results, ours=True),
     }
     return Output(document, lambda: _thesis_text(found, set(given), _width()))
+
+
+def _contact_sheet(results: list[Result], folder: Path) -> None:
+    drawn = [figure for result in results for figure in result.figures]
+    drawn.sort(key=lambda one: [f"{part:0>3}" for part in re.split(r"[.-]", one.path.stem)])
+    if drawn:
+        pictures = [(one.name or one.path.stem, one.path.with_suffix(".png")) for one in drawn]
+        contact_sheet(pictures, folder / "contact-sheet.png")
 
 
 def _thesis_document(example: Example, result: Result) -> dict[str, Any]:
@@ -140,7 +152,7 @@ def _paragraphs(found: list[tuple[Example, Result]], given: set[str], width: int
         yield from _claims(result.claims, width)
         yield from [""] if result.figures else []
         for figure in result.figures:
-            yield f"figure {figure.path}: {figure.name}, {figure.caption}"
+            yield f"figure {figure.path}: {', '.join(filter(None, (figure.name, figure.caption)))}"
             if figure.contradicts:
                 yield f"  contradicted by the text's own numbers: {figure.contradicts}"
         yield ""

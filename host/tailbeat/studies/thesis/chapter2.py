@@ -7,16 +7,11 @@ from math import comb
 
 import numpy as np
 
-from tailbeat.core.arrays import F64
-from tailbeat.report.style import ACCENT, Axes
-from tailbeat.studies.thesis.example import Example, Found, claim, figure
-from tailbeat.studies.thesis.picture import Panel, Panels, errors
+from tailbeat.studies.thesis.example import Example, Found, claim
 from tailbeat.studies.thesis.plants import linear
 from tailbeat.studies.thesis.series import (
-    CUT_OUTPUTS,
     SeriesOutcome,
     first_within,
-    outputs,
     stays_within,
 )
 from tailbeat.studies.thesis.study import Study, once
@@ -88,7 +83,7 @@ def _error_within(study: Study) -> Found:
 
 
 @once
-def _random_starts(study: Study) -> tuple[SeriesOutcome, SeriesOutcome]:
+def random_starts(study: Study) -> tuple[SeriesOutcome, SeriesOutcome]:
     """The average and the P-type."""
     average, classic = (
         study.setting.problem(past, _START_SEEDS).series(
@@ -101,7 +96,7 @@ def _random_starts(study: Study) -> tuple[SeriesOutcome, SeriesOutcome]:
 
 @claim(EX1, "2-random-start-mean")
 def _random_start_mean(study: Study) -> Found:
-    found, at = _random_starts(study)[0], _RANDOM_START_WITHIN
+    found, at = random_starts(study)[0], _RANDOM_START_WITHIN
     sigmas = max(_mean_in_sigmas(found, at), _mean_in_sigmas(found, LATE))
     single = [expected(found, i) for i in (at, LATE)]
     note = f"""Mean error of {len(_START_SEEDS)} series in its standard errors, the largest of 51
@@ -114,7 +109,7 @@ def _random_start_mean(study: Study) -> Found:
 
 @claim(EX1, "2-random-start-better")
 def _random_start_better(study: Study) -> Found:
-    late, early = ([expected(one, i) for one in _random_starts(study)] for i in (LATE, _EARLY))
+    late, early = ([expected(one, i) for one in random_starts(study)] for i in (LATE, _EARLY))
     note = f"""Mean of sup |E{{e_i | u_i}}|, average and P-type (2.3) with zero fill and the same L,
     at iteration {LATE} and at {_EARLY}. Superior would be a final error lower by a tenth. [24] is
     taken to be the P-type."""
@@ -190,82 +185,3 @@ def _substitute(study: Study) -> Found:
     plainly, reading = _same(1.553, start, 5e-4), condition < 1.0
     measured = [condition, start, whole, needed]
     return Found(whole <= 80 and plainly, measured, note, whole <= 80 and reading)
-
-
-@figure(
-    EX1, "fig2-2.png", "Fig. 2.2",
-    "p(t), (2.5), for T_d = 10, N_1 = 3, N_2 = 2 and equally likely lengths.",
-)  # fmt: skip
-def _reached(study: Study) -> Panel:
-    times = np.arange(13)
-    likely = linear.reached_probability(times, 10 - 3, (1 / 6,) * 6)
-
-    def stems(axes: Axes) -> None:
-        axes.vlines(times, 0.0, likely, color=ACCENT, lw=2.4)
-        axes.plot(times, likely, "o", ms=9, color=ACCENT)
-
-    labels = {"xlabel": "sample t", "ylabel": "probability p(t) that a trial gets there"}
-    return Panel([], {**labels, "ylim": (0.0, 1.08)}, more=stems)
-
-
-def _spread(setting: linear.Average) -> F64:
-    """Errors of many series of random lengths."""
-    return setting.problem().series(_FIGURE_SEEDS, _FIGURE_LAST).max_abs_error
-
-
-@figure(EX1, "ch2-ex1-error.png", "Ch. 2, example 1, max|e|", "Error per iteration, N = 5.")
-def _errors1(study: Study) -> Panel:
-    full = study.run(lengths="full", iterations=_FIGURE_LAST).max_abs_error
-    executed: F64 = study.run(iterations=_FIGURE_LAST).traces.executed[0]
-    starts = f"The text starts at 1.801; from u_0 = 0 and x_0 = 0 it is max|y_d| = {full[0]:.4f}."
-    return errors(
-        {"uncut trials": full, "executed part, seed 1": executed},
-        band=("median, 80 % of 100 seeds (grey)", _spread(study.setting)), levels=[0.0098],
-        contradicts="" if _same(1.801, full[0], 5e-4) else starts,
-    )  # fmt: skip
-
-
-@figure(
-    EX1_N30, "ch2-ex1-n30-error.png", "Ch. 2, example 1, N = 30, max|e|",
-    "Error per iteration, N = 30.",
-)  # fmt: skip
-def _errors1_n30(study: Study) -> Panel:
-    narrow = np.median(_spread(linear.EXAMPLE1), axis=0)
-    band = ("N = 30: median, 80 % of 100 seeds (grey)", _spread(study.setting))
-    return errors({"N = 5: median": narrow}, band=band, levels=[0.0097])
-
-
-@figure(
-    EX2, "ch2-ex2-error.png", "Ch. 2, example 2, max|e|",
-    "Error per iteration on (2.37) as printed.",
-)  # fmt: skip
-def _errors2(study: Study) -> Panel:
-    found = study.run().max_abs_error
-    diverges = "The text ends at 0.0058; the plant it prints diverges."
-    return errors(
-        {"": found}, levels=[0.0058], ylim=(1e-4, None),
-        contradicts=diverges if found[-1] > found[0] else "",
-    )  # fmt: skip
-
-
-@figure(
-    EX2_SUBSTITUTE, "ch2-ex2-substitute-error.png", "Ch. 2, example 2, substitute, max|e|",
-    "Error per iteration on (2.37) with the output x_3.",
-)  # fmt: skip
-def _errors2_substitute(study: Study) -> Panel:
-    full = study.run(lengths="full", iterations=_FIGURE_LAST).max_abs_error
-    band = ("median, 80 % of 100 seeds (grey)", _spread(study.setting))
-    return errors({"uncut trials": full}, band=band, levels=[0.0058])
-
-
-@figure(
-    EX1, "ch2-ex1-output.png", "Ch. 2, example 1, outputs",
-    CUT_OUTPUTS,
-)  # fmt: skip
-@figure(
-    EX2_SUBSTITUTE, "ch2-ex2-substitute-output.png", "Ch. 2, example 2, substitute, outputs",
-    CUT_OUTPUTS,
-)  # fmt: skip
-def _outputs(study: Study) -> Panels:
-    found = study.run(iterations=_FIGURE_LAST).traces
-    return outputs(found, linear.KEPT, "sample t", "y")

@@ -8,11 +8,8 @@ from functools import partial
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.report.style import Axes
-from tailbeat.studies.thesis.example import Example, Found, claim, figure
-from tailbeat.studies.thesis.picture import REFERENCE, THIN, Curve, Panel, Panels, errors
+from tailbeat.studies.thesis.example import Example, Found, claim
 from tailbeat.studies.thesis.plants import held
-from tailbeat.studies.thesis.series import CUT_OUTPUTS, outputs
 from tailbeat.studies.thesis.study import Study, once
 
 _example = partial(
@@ -37,7 +34,7 @@ _FIGURE_LAST = 40, 30
 _SLOPES = (0.5, 1.5)  # of example 1's input, c'f_u
 _SOURCE1, _SOURCE2 = "3.4, example 1", "3.4, example 2"
 _ITERATIONS1, _ITERATIONS2 = 20, 30
-_ORDERS = range(6)
+ORDERS = range(6)
 
 
 @claim(EX1, "3-eta")
@@ -74,7 +71,7 @@ def _falls1(study: Study) -> Found:
     return Found(starts and reaches, [uncut[0], executed, whole, uncut[at]], note, reaches)
 
 
-def _of_order(setting: held.Moving, m: int, total: bool) -> held.Moving:
+def of_order(setting: held.Moving, m: int, total: bool) -> held.Moving:
     """``total``: the gains add up to 1 with every m, instead of 1/5 each."""
     return replace(setting, m=m, beta=1.0 / (m + 1) if total else setting.beta)
 
@@ -82,15 +79,12 @@ def _of_order(setting: held.Moving, m: int, total: bool) -> held.Moving:
 @claim(EX1, "3-memory")
 def _more_memory(study: Study) -> Found:
     each, shared = (
-        [
-            float(_of_order(study.setting, m, total).problem().uncut(_ITERATIONS1)[-1])
-            for m in _ORDERS
-        ]
+        [float(of_order(study.setting, m, total).problem().uncut(_ITERATIONS1)[-1]) for m in ORDERS]
         for total in (False, True)
     )
     random = [
-        _of_order(study.setting, m, False).problem().series(_SWEEP_SEEDS, _ITERATIONS1)
-        for m in _ORDERS
+        of_order(study.setting, m, False).problem().series(_SWEEP_SEEDS, _ITERATIONS1)
+        for m in ORDERS
     ]
     each_random = [float(np.median(one.max_abs_error[:, -1])) for one in random]
     fixed, normed = (
@@ -154,75 +148,3 @@ def _pushing_only(study: Study) -> Found:
     error that stays, m/s, and the least thrust that the reference needs, m/s^2{since}."""
     ratio = errors[0] / errors[-1]
     return Found(ratio > 90.0, [ratio, errors[-1], needed.min()], note)
-
-
-def _spread(setting: held.Moving, last: int) -> F64:
-    """Errors of many series of random lengths."""
-    return setting.problem().series(_FIGURE_SEEDS, last).max_abs_error
-
-
-@figure(EX1, "ch3-ex1-error.png", "Ch. 3, example 1, max|e|", "Error per iteration, m = 4.")
-def _errors1(study: Study) -> Panel:
-    last = _FIGURE_LAST[0]
-    band = (f"m = 4: median, 80 % of {len(_FIGURE_SEEDS)} seeds (grey)",
-            _spread(study.setting, last))  # fmt: skip
-    return errors({"uncut trials": study.setting.problem().uncut(last)}, band=band)
-
-
-@figure(
-    EX1, "ch3-ex1-m.png", "Ch. 3, example 1, influence of m",
-    "Uncut trials; left: the gain of each trial is kept, right: their sum.",
-)  # fmt: skip
-def _orders(study: Study) -> Panels:
-    panels = []
-    for total, name in ((False, "β_j = 1/5"), (True, "β_j = 1/(m+1)")):
-        settings = {m: _of_order(study.setting, m, total) for m in _ORDERS}
-        found = {f"m = {m}": one.problem().uncut(_FIGURE_LAST[0]) for m, one in settings.items()}
-
-        def named(axes: Axes, name: str = name) -> None:
-            axes.annotate(name, (0.03, 0.04), xycoords="axes fraction")
-
-        panels.append(errors(found, columns=3, more=named, ylim=(1e-9, 8.0)))
-    return Panels(panels)
-
-
-@figure(EX1, "ch3-ex1-output.png", "Ch. 3, example 1, outputs", CUT_OUTPUTS)
-def _outputs(study: Study) -> Panels:
-    return outputs(study.traces, study.setting.kept, "t, s", "y")
-
-
-@figure(EX2, "ch3-fish-error.png", "Ch. 3, example 2, max|e|", "Error per iteration, drag v|v|.")
-def _errors2(study: Study) -> Panel:
-    last = _FIGURE_LAST[1]
-    first, pushing = replace(study.setting, history="first"), replace(study.setting, low=0.0)
-    band = (f"median, 80 % of {len(_FIGURE_SEEDS)} seeds (grey)", _spread(study.setting, last))
-    found = {
-        "history u_0, uncut": first.problem().uncut(last),
-        "u ≥ 0, uncut": pushing.problem().uncut(last),
-    }
-    return errors(found, band=band, ylabel="max|e_i(t)|, m/s")
-
-
-@figure(EX2, "ch3-fish-speed.png", "Ch. 3, example 2, speed", CUT_OUTPUTS)
-def _speeds(study: Study) -> Panels:
-    return outputs(study.traces, study.setting.kept, "t, s", "v, mm/s", 1000.0)
-
-
-@figure(
-    EX2, "ch3-fish-thrust.png", "Ch. 3, example 2, thrust",
-    "Thrust that the reference needs and that was learned; right: the end, enlarged.",
-)  # fmt: skip
-def _thrust(study: Study) -> Panels:
-    found = study.traces
-    times, learned = found.problem.times, found.trial()[0]
-
-    def zero(axes: Axes) -> None:
-        axes.axhline(0.0, **THIN)
-
-    curves = [
-        Curve(times, 1e3 * held.fish_exact_input(times), "needed, u_d", REFERENCE),
-        Curve(times, 1e3 * learned, f"learned, iteration {max(found.kept)}"),
-    ]
-    labels = {"xlabel": "t, s", "ylabel": "thrust per mass, mm/s²"}
-    end = {**labels, "xlim": (40.0, 50.0), "ylim": (-8.0, 12.0)}
-    return Panels([Panel(curves, labels, more=zero), Panel(curves, end, more=zero)])

@@ -9,9 +9,8 @@ from typing import cast
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.thesis.example import Example, Found, claim, figure
+from tailbeat.studies.thesis.example import Example, Found, claim
 from tailbeat.studies.thesis.ledger import in_continuous_time
-from tailbeat.studies.thesis.picture import Panels
 from tailbeat.studies.thesis.plants import feedback as loop
 from tailbeat.studies.thesis.study import Study
 
@@ -183,41 +182,3 @@ def _neighbourhood(first_factor: float) -> float:
     rest, squares = max(rests), sum(float(eta @ eta) for eta in etas)
     zeta = first_factor * rest * 0.1 + np.pi * (1e-3 * squares + 1e-2 * rest**2)
     return float(np.sqrt(2 * zeta))
-
-
-_EACH_ANOTHER = "Error per iteration; the reference is another one in each."
-_FIRST_AND_LAST = f"Trials 1 and {LAST} with their references."
-
-
-@figure(EX1, "ch4-ex1-error.png", "Ch. 4, example 1, max|e|", _EACH_ANOTHER)
-def _errors1(study: Study) -> Panels:
-    return loop.errors({"all of Theta, (4.6)": study.traces})
-
-
-@figure(EX1, "ch4-ex1-states.png", "Ch. 4, example 1, states", _FIRST_AND_LAST)
-@figure(SIGN, "ch4-ex2-sign-states.png", "Ch. 4, example 2, sign law, states", _FIRST_AND_LAST)
-def _states(study: Study) -> Panels:
-    return loop.states(study.traces)
-
-
-@figure(
-    SIGN, "ch4-ex2-inputs.png", "Ch. 4, example 2, inputs",
-    "The inputs of both laws in the same trial.",
-)  # fmt: skip
-def _inputs(study: Study) -> Panels:
-    both = {"sign law": study.traces, "smooth law": loop.other(EXAMPLE2_SMOOTH)}
-    return loop.inputs(both, LAST)
-
-
-@figure(SMOOTH, "ch4-ex2-error.png", "Ch. 4, example 2, max|e|", _EACH_ANOTHER)
-def _errors2(study: Study) -> Panels:
-    both = {
-        "smooth, (4.18)-(4.20)": study.traces,
-        "sign, (4.15)-(4.17)": loop.other(EXAMPLE2_SIGN),
-    }
-    return loop.errors(both)
-
-
-figure(
-    SMOOTH, "ch4-ex2-smooth-states.png", "Ch. 4, example 2, smooth law, states", _FIRST_AND_LAST
-)(_states)

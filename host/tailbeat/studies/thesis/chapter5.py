@@ -8,9 +8,8 @@ from functools import partial
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.thesis.example import Example, Found, claim, figure
+from tailbeat.studies.thesis.example import Example, Found, claim
 from tailbeat.studies.thesis.ledger import in_continuous_time
-from tailbeat.studies.thesis.picture import Panels
 from tailbeat.studies.thesis.plants import feedback as loop
 from tailbeat.studies.thesis.study import Study
 
@@ -214,53 +213,3 @@ def inverse_by_norm(diagonals: F64) -> float:
     """The largest |B^-1| |B|, spectral norms."""
     gains = np.abs(diagonals)
     return float(np.max(gains.max(axis=0) / gains.min(axis=0)))
-
-
-_CASE1, _CASE2 = "Ch. 5, case 1", "Ch. 5, case 2"
-_FIRST_AND_LAST = f"Trials 1 and {LAST} with the reference."
-
-
-@figure(SIGN, "ch5-case1-sign-states.png", f"{_CASE1}, I_1, states", _FIRST_AND_LAST)
-def _states(study: Study) -> Panels:
-    return loop.states(study.traces)
-
-
-@figure(
-    SIGN, "ch5-case1-inputs.png", f"{_CASE1}, inputs", "The inputs of both laws in the same trial."
-)
-def _inputs(study: Study) -> Panels:
-    return loop.inputs({"I_1": study.traces, "I_2": loop.other(CASE1_SMOOTH)}, LAST)
-
-
-@figure(
-    SIGN, "ch5-case1-sampled.png", f"{_CASE1}, I_1 sampled",
-    "Error per iteration for several control periods: it grows again, against theorem 5.1.",
-)  # fmt: skip
-def _sampled(study: Study) -> Panels:
-    found, _ = loop.sampled(CASE1_SIGN, SAMPLED)
-    steps = max(SAMPLED)
-    series = {f"{500.0 / n:g} ms": trials for n, trials in found.items()}
-    cured = loop.run_trials(loop.on(CASE1_SIGN, steps, dead_zone=DEAD_ZONE), SAMPLED[steps])
-    return loop.errors({**series, f"{500.0 / steps:g} ms, dead zone": cured})
-
-
-@figure(SMOOTH, "ch5-case1-error.png", f"{_CASE1}, max|e|", "Error per iteration.")
-def _errors1(study: Study) -> Panels:
-    return loop.errors({"I_2, smooth": study.traces, "I_1, sign": loop.other(CASE1_SIGN)})
-
-
-@figure(UNCERTAIN, "ch5-case2-error.png", f"{_CASE2}, max|e|", "Error per iteration.")
-def _errors2(study: Study) -> Panels:
-    return loop.errors({"(5.17)-(5.19)": study.traces})
-
-
-figure(SMOOTH, "ch5-case1-smooth-states.png", f"{_CASE1}, I_2, states", _FIRST_AND_LAST)(_states)
-figure(UNCERTAIN, "ch5-case2-states.png", f"{_CASE2}, states", _FIRST_AND_LAST)(_states)
-
-
-@figure(
-    UNCERTAIN, "ch5-case2-inputs.png", f"{_CASE2}, inputs",
-    f"The inputs of trial {LAST}, continuous time.",
-)  # fmt: skip
-def _inputs2(study: Study) -> Panels:
-    return loop.inputs({"(5.19)": study.traces}, LAST)

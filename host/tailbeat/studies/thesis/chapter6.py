@@ -7,11 +7,9 @@ from itertools import pairwise
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.report.style import Axes
-from tailbeat.studies.thesis.example import Example, Found, claim, figure
-from tailbeat.studies.thesis.picture import REFERENCE, Curve, Panel, errors, field_map, level
+from tailbeat.studies.thesis.example import Example, Found, claim
 from tailbeat.studies.thesis.plants import heat, rod
-from tailbeat.studies.thesis.plants.rod import ITERATIONS, LONG, Q_LEN, RHO
+from tailbeat.studies.thesis.plants.rod import LONG, Q_LEN, RHO
 from tailbeat.studies.thesis.study import Study
 
 HEAT = Example(
@@ -23,7 +21,7 @@ EXAMPLES = (HEAT,)
 
 _PRINTED_RHO_AT_ONE_FREQUENCY = 2.839
 _BASE_FREQUENCY = 0.01  # 2 pi / T, rad/s in the text
-_FIRST_OF_TEXT, _LAST_OF_TEXT = 13.20, 0.0371
+FIRST_OF_TEXT, LAST_OF_TEXT = 13.20, 0.0371
 
 
 def _near(value: float, printed: float, part: float) -> bool:
@@ -103,8 +101,8 @@ def _first_error(study: Study) -> Found:
     first, second = study.run().max_abs_error[:2]
     note = f"""Iterations 0 and 1, which would be the reading. With u^0 = 0 the mean temperature is
     t^2/2 + t/3, so that y^0(10) = {_undriven():.3f} by any solver."""
-    reading = _near(second, _FIRST_OF_TEXT, 0.05)
-    return Found(_near(first, _FIRST_OF_TEXT, 0.01), [first, second], note, reading)
+    reading = _near(second, FIRST_OF_TEXT, 0.05)
+    return Found(_near(first, FIRST_OF_TEXT, 0.01), [first, second], note, reading)
 
 
 @claim(HEAT, "6-last-error")
@@ -112,7 +110,7 @@ def _last_error(study: Study) -> Found:
     last = study.run().max_abs_error[-1]
     note = """Reading: 0.0371 or less. So small a figure hangs on the solver's own tolerance, so
     that its digits cannot be reproduced."""
-    return Found(_near(last, _LAST_OF_TEXT, 0.02), last, note, last <= _LAST_OF_TEXT)
+    return Found(_near(last, LAST_OF_TEXT, 0.02), last, note, last <= LAST_OF_TEXT)
 
 
 @claim(HEAT, "6-shrinks")
@@ -172,48 +170,3 @@ def _undriven() -> float:
     """y^0(T), exactly."""
     rod_exactly = heat.heat_plant(heat.CHAPTER6, scheme="modal")
     return float(rod_exactly.output(np.zeros(len(heat.times(heat.STEP))))[-1])
-
-
-@figure(HEAT, "fig6-1.png", "Fig. 6.1", "Largest error per iteration.")
-def _errors(study: Study) -> Panel:
-    found = study.run().max_abs_error
-
-    def of_the_text(axes: Axes) -> None:
-        level(axes, _FIRST_OF_TEXT, f"{_FIRST_OF_TEXT:.2f}, of the text")
-        level(axes, _LAST_OF_TEXT, f"{_LAST_OF_TEXT}, of the text", place=0.0)
-
-    starts = (
-        f"The text starts at {_FIRST_OF_TEXT:.2f}; the heat that f brings in makes it "
-        f"{found[0]:.2f}."
-    )
-    contradicts = "" if abs(found[0] - _FIRST_OF_TEXT) < 0.05 else starts
-    return errors({"": found}, marker=8, more=of_the_text, contradicts=contradicts)
-
-
-@figure(HEAT, "fig6-2.png", "Fig. 6.2", "Output of iteration 7 and the reference.")
-def _output(study: Study) -> Panel:
-    found = study.traces
-    time = found.problem.times
-    curves = [
-        Curve(time, found.problem.reference, "reference", REFERENCE),
-        Curve(time, found.trial()[1], f"y of iteration {ITERATIONS}"),
-    ]
-    return Panel(curves, {"xlabel": "t, min", "ylabel": "y = w(0, t)"})
-
-
-@figure(HEAT, "fig6-3.png", "Fig. 6.3", "w(x, t) of iteration 7, as a map.")
-def _surface(study: Study) -> Panel:
-    found = study.traces
-    return field_map(
-        found.problem.times, heat.heat_plant(heat.CHAPTER6).field(found.trial()[0]), "w"
-    )
-
-
-@figure(HEAT, "ch6-filter.png", "Ch. 6, where the filter acts", f"{LONG} trials on the exact rod.")
-def _filter(study: Study) -> Panel:
-    runs = {
-        "Q on input and correction, (6.31)": rod.with_filter(),
-        "Q on the correction alone": rod.with_filter_on_the_correction(),
-        "no Q": rod.without_filter(),
-    }
-    return errors(runs)

@@ -15,16 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
-from tailbeat.report.style import Axes
 from tailbeat.studies.thesis.example import (
     Example,
-    ExampleOptions,
     ExampleRun,
     Found,
     claim,
-    figure,
 )
-from tailbeat.studies.thesis.picture import LINES, REFERENCE, Curve, Panel, errors, field_map
 from tailbeat.studies.thesis.plants import advection, heat
 from tailbeat.studies.thesis.study import Study, once
 
@@ -326,120 +322,3 @@ def _by_time(study: Study) -> Found:
     note = f"""{_OTHER_LAW} u[t] += -0.5 (2t + 3) e(t + 0.10), N0 = 10: the gain at rest falls with
     time, the correction rises with it."""
     return Found(found[-1] <= (1 - _REDUCTION) * found[0], found, note)
-
-
-_SHOWN_DELTA = 0.02  # of figures 7.5 to 7.7
-
-
-@figure(PRINTED, "fig7-1.png", "Fig. 7.1", "theta(1, t) of (7.5), and its sum cut short.")
-def _theta_cut(study: Study) -> Panel:
-    time = np.linspace(0.002, heat.HORIZON, 4000)
-    curves = [
-        Curve(time, advection.theta(1.0, time, images), f"N = {images}", style)
-        for images, style in zip((8, 0, 1, 2), LINES, strict=False)
-    ]
-    labels = {"xlabel": "t, min", "ylabel": "theta(1, t), summed over |m| <= N"}
-    return Panel(curves, labels, columns=4)
-
-
-@figure(
-    PRINTED, "fig7-2.png", "Fig. 7.2",
-    "theta(1, t) at first, with the five delta and the gains -1/(2 theta) they ask for.",
-)  # fmt: skip
-def _theta_early(study: Study) -> Panel:
-    time = np.linspace(0.001, 0.6, 2000)
-
-    def leads(axes: Axes) -> None:
-        for lead in advection.DELTAS:
-            at = lead, float(advection.theta(1.0, lead))
-            axes.plot(*at, "o", ms=9, mfc="white", mec="0.1", mew=1.8)
-            axes.annotate(
-                f"delta = {lead:g}: rho = {advection.gain_for(lead):.5g}", at,
-                (12, -20 if lead == _SHORTEST else -5), textcoords="offset points", fontsize=12,
-            )  # fmt: skip
-
-    labels = {"ylim": (-0.05, None), "xlabel": "t, min", "ylabel": "theta(1, t)"}
-    return Panel([Curve(time, advection.theta(1.0, time))], labels, more=leads)
-
-
-@figure(
-    PRINTED, "fig7-3.png", "Fig. 7.3", "How the sum's largest value gets to 1/2 with its terms."
-)
-def _theta_sup(study: Study) -> Panel:
-    missing = np.maximum(0.5 - _by_images(), 1e-13)
-    return errors({"": missing}, marker=8, xlabel="N", ylabel="1/2 - sup theta_N(1, t)")
-
-
-@figure(
-    PRINTED,
-    "ch7-printed-error.png",
-    "Ch. 7, the plant as printed, (7.31), max|e|",
-    "The D-law with lead.",
-)
-@figure(HEAT, "ch7-heat-error.png", "Ch. 7, the heat equation, max|e|", "The D-law with lead.")
-def _deltas(study: Study) -> Panel:
-    runs = {
-        f"delta = {delta:g}": study.run(delta=delta).max_abs_error for delta in advection.DELTAS
-    }
-    left = max(found[-1] for found in runs.values())
-    scale = "linear" if study.example is PRINTED else "log"
-    return errors(runs, marker=6, columns=3, yscale=scale, contradicts=_left(
-        left, f"The text has it below 1 after {advection.ITERATIONS}; by this plant"
-    ))  # fmt: skip
-
-
-def _left(error: float, words: str) -> str:
-    """What an error of 1 or more contradicts."""
-    return f"{words} {error:.1f} are left." if error >= 1 else ""
-
-
-@figure(
-    PRINTED, "ch7-printed-learned.png", "Ch. 7, the plant as printed with another law, max|e|",
-    "The plant as printed, learned by a P-law with lead and Q.",
-)  # fmt: skip
-def _other_law(study: Study) -> Panel:
-    runs = {
-        "-4 e(t + 0.10), N0 = 20": advection.STEADY,
-        "-0.5 (2t + 3) e(t + 0.10), N0 = 10": advection.BY_TIME,
-    }
-    found = {name: one.problem().uncut(13) for name, one in runs.items()}
-    return errors(found, marker=6, columns=1)
-
-
-def _fifth(study: Study) -> tuple[F64, F64, F64, str]:
-    """Time, input and output of iteration 5, and what the text says against them."""
-    run = study.run(delta=_SHOWN_DELTA)
-    against = _left(run.max_abs_error[-1], "The text's y^5 is within 1 of y^d; here")
-    return run.traces.problem.times, *run.traces.trial(), against
-
-
-def _output(study: Study) -> Panel:
-    time, _, output, against = _fifth(study)
-    curves = [
-        Curve(time, heat.reference(time), "reference", REFERENCE),
-        Curve(time, output, "y of iteration 5"),
-    ]
-    return Panel(curves, {"xlabel": "t, min", "ylabel": "y = v(1, t)"}, contradicts=against)
-
-
-def _input(study: Study) -> Panel:
-    time, values, _, against = _fifth(study)
-    labels = {"xlabel": "t, min", "ylabel": "u = v_x(0, t)"}
-    return Panel([Curve(time, values)], labels, contradicts=against)
-
-
-def _field(study: Study) -> Panel:
-    time, values, _, against = _fifth(study)
-    plant = study.setting(heat.STEP, ExampleOptions())
-    return field_map(time, plant.field(values), "v", against)
-
-
-_LAW = f"delta = {_SHOWN_DELTA:g}, rho = {advection.RHO:g}"
-for one, ending, by in ((PRINTED, "-printed", " by the plant as printed"), (HEAT, "", "")):
-    figure(
-        one, f"fig7-5{ending}.png", f"Fig. 7.5{by}", f"Output of iteration 5 and reference, {_LAW}."
-    )(_output)
-    figure(one, f"fig7-6{ending}.png", f"Fig. 7.6{by}", f"Input of iteration 5, {_LAW}.")(_input)
-    figure(
-        one, f"fig7-7{ending}.png", f"Fig. 7.7{by}", f"v(x, t) of iteration 5 as a map, {_LAW}."
-    )(_field)

@@ -13,10 +13,8 @@ from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.reference import thesis_speed
-from tailbeat.report.style import Axes
-from tailbeat.studies.thesis.example import Example, Found, claim, figure
+from tailbeat.studies.thesis.example import Example, Found, claim
 from tailbeat.studies.thesis.ledger import SampledRun, in_continuous_time
-from tailbeat.studies.thesis.picture import LINES, REFERENCE, Curve, Panel, Panels, errors, level
 from tailbeat.studies.thesis.plants import cruise
 from tailbeat.studies.thesis.study import Study
 
@@ -290,61 +288,3 @@ def _slope_is_positive(study: Study) -> Found:
     note = """N/rad at amplitude 0, and the least above it up to pi/4: true of amplitudes above 0;
     at 0, where every series begins, the slope is 0, and in a dead zone it stays so."""
     return Found(least > 0 and at_rest > 1e-6, [at_rest, least], note, least > 0)
-
-
-_SHOWN = (1, 2, 3, 6)
-
-
-@figure(
-    GAIN4, "fig8-3.png", "Fig. 8.3",
-    "speed and amplitude by beats, gain 4, with the reference",
-)  # fmt: skip
-def _speeds(study: Study) -> Panels:
-    found = cruise.FishTask(study.setting).problem().run(max(_SHOWN), keep=_SHOWN)
-    mid_s = np.arange(cruise.BEATS) + 0.5
-    styles = [style | {"drawstyle": "steps-mid"} for style in LINES]
-    speeds = [Curve(mid_s, 1e3 * cruise.reference_beats(), "reference (8.31)", REFERENCE)]
-    amplitudes = []
-    for i, style in zip(_SHOWN, styles, strict=False):
-        values, speed = found.trial(i)
-        speeds.append(Curve(mid_s, 1e3 * speed, f"iteration {i}", style))
-        amplitudes.append(Curve(mid_s, cruise.applied(values), "", style))
-    above = {"ylabel": "speed, mean over a beat, mm/s", "ylim": (0, 118)}
-    below = {"ylabel": "amplitude, rad", "xlabel": "t, s"}
-    return Panels([Panel(speeds, above, columns=3), Panel(amplitudes, below)], across=False)
-
-
-@figure(GAIN4, "fig8-4.png", "Fig. 8.4", "largest error over the iterations, gains 4, 7 and 10")
-def _errors(study: Study) -> Panel:
-    found = {
-        f"gain {one.setting:g}": 1e3 * cruise.FishTask(one.setting).problem().uncut(20)
-        for one in EXAMPLES
-    }
-
-    def down(axes: Axes) -> None:
-        level(axes, 0.2 * 79.1, "80 % down")
-
-    name = "max|e| over the beats, mm/s"
-    return errors(found, marker=6, columns=3, more=down, ylabel=name)
-
-
-@figure(
-    GAIN4, "figA-1.png", "Fig. A.1",
-    "thrust (8.5)-(8.10) and its slope, which Lemma 8.1 needs above 0",
-)  # fmt: skip
-def _thrust(study: Study) -> Panels:
-    angles = np.linspace(0, cruise.AMPLITUDE_MAX_RAD, 300)
-    fish = cruise.CruisePlant(1.0)
-    h1, h2 = fish.thrust(angles)
-    forces, slopes = [], []
-    for v, style in zip((0.0, 0.1, 0.2), LINES, strict=False):
-        force = h1 - h2 * v**2
-        forces.append(Curve(angles, force, f"v = {v:g} m/s", style))
-        slopes.append(Curve(angles, np.gradient(force, angles, edge_order=2), "", style))
-    measured, speeds = np.array(cruise.TABLE_8_1).T
-    dots = {"marker": "o", "ls": "", "color": "0.15", "mfc": "white"}
-    forces.append(Curve(measured, fish.config.drag_kg_m * speeds**2, "drag at Table 8.1", dots))
-    limits = {"xlim": (0, 0.8), "ylim": (0, None)}
-    above = {"ylabel": "thrust F, N", **limits}
-    below = {"ylabel": "dF/d(amplitude), N/rad", "xlabel": "amplitude, rad", **limits}
-    return Panels([Panel(forces, above), Panel(slopes, below)], across=False)

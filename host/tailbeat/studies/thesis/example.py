@@ -1,11 +1,12 @@
 """The nouns: an example, a run of it, what the thesis claims of it, what came out, what is drawn.
 
 An example is a row of data. Claims and figures are functions that name their example:
-``@claim(EXAMPLE, id)`` and ``@figure(EXAMPLE, file, name, caption)``.
+``@claim(EXAMPLE, id)`` and ``@figure(EXAMPLE, number, caption)``.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,9 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.core.arrays import F64
+from tailbeat.core.files import write_whole
 from tailbeat.studies.thesis.learner import Precision
 from tailbeat.studies.thesis.ledger import LedgerEntry, entries
-from tailbeat.studies.thesis.picture import Panel, Panels, draw
+from tailbeat.studies.thesis.picture import Panel, Panels, draw, with_ending
 
 Uptake = Literal["clip", "abs", "monod", "none"]
 
@@ -109,28 +111,42 @@ class ExampleRun:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture that was drawn. ``contradicts``: what the text's own numbers say against it."""
+    """A figure that was drawn: ``path`` with the endings .pdf, .svg, .png and, for the caption,
+    .txt. ``contradicts``: what the text's own numbers say against it."""
 
     path: Path
-    name: str  # of the thesis: "Fig. 2.3"
+    name: str  # of the thesis: "Fig. 2.3"; empty: the thesis has none
     caption: str
     contradicts: str = ""
 
 
 @dataclass(frozen=True)
 class Sketch:
-    """A figure that is yet to be drawn, by ``compose``."""
+    """A figure that is yet to be drawn, by ``compose``. ``number``: of the thesis, as in its
+    caption; a name where it has none."""
 
-    file: str
-    name: str
+    number: str
     caption: str
     compose: Callable[[Any], Panel | Panels]
 
+    @property
+    def name(self) -> str:
+        """Of the thesis."""
+        return f"Fig. {self.number}" if _NUMBER.fullmatch(self.number) else ""
+
     def draw(self, study: Any, folder: Path) -> Figure:
         """Writes it into ``folder``."""
-        drawing = self.compose(study)
-        draw(folder / self.file, drawing)
-        return Figure(folder / self.file, self.name, self.caption, drawing.contradicts)
+        drawing, stem = self.compose(study), folder / f"fig-{self.number}"
+        draw(stem, drawing)
+        whose = f"{self.name} of the thesis, recomputed" if self.name else "Not of the thesis"
+        words = f"{whose}: {self.caption}"
+        if drawing.contradicts:
+            words += f" Against the text's own numbers: {drawing.contradicts}"
+        write_whole(with_ending(stem, "txt"), words + "\n")
+        return Figure(with_ending(stem, "pdf"), self.name, self.caption, drawing.contradicts)
+
+
+_NUMBER = re.compile(r"[0-9A]+\.[0-9]+")
 
 
 @dataclass(frozen=True)
@@ -193,11 +209,11 @@ def claim(example: Example, entry_id: str) -> Callable[[Function], Function]:
     return keep
 
 
-def figure(example: Example, file: str, name: str, caption: str) -> Callable[[Function], Function]:
+def figure(example: Example, number: str, caption: str) -> Callable[[Function], Function]:
     """The function composes this figure: Study -> Panels."""
 
     def keep(compose: Function) -> Function:
-        example.figures.append(Sketch(file, name, caption, compose))
+        example.figures.append(Sketch(number, caption, compose))
         return compose
 
     return keep

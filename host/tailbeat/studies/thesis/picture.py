@@ -12,8 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
-from tailbeat.report.style import ACCENT, Axes, picture
+from tailbeat.core.extras import lazy
+from tailbeat.core.files import write_whole
+from tailbeat.report.style import ACCENT, SCREEN, Axes, mpl_figure, written
+from tailbeat.report.style import drawing as figure_settings
 from tailbeat.report.style import level as named_level
+
+mpl: Any = lazy("matplotlib")
+mpl_image: Any = lazy("matplotlib.image")
 
 LINES: tuple[dict[str, Any], ...] = (
     {"color": ACCENT, "lw": 2.6, "ls": "-"},
@@ -63,7 +69,7 @@ class Panel:
         for curve in self.curves:
             curve.plot(axes)
         for value in self.levels:
-            level(axes, value, f"{value:g}, of the text")
+            level(axes, value, f"{value:.4g}, of the text")
         if self.more is not None:
             self.more(axes)
         axes.set(**self.axes)
@@ -84,17 +90,45 @@ class Panels:
         return "".join(panel.contradicts for panel in self.panels)
 
 
-def draw(path: Path, drawing: Panel | Panels) -> None:
-    """Writes it as a PNG."""
+FORMATS = ("pdf", "svg", "png")
+_SCREEN_DPI = 100
+
+
+def with_ending(stem: Path, ending: str) -> Path:
+    """Numbers of figures have a point in them: it is no ending."""
+    return stem.with_name(f"{stem.name}.{ending}")
+
+
+def draw(stem: Path, drawing: Panel | Panels) -> None:
+    """Writes it as PDF, SVG and PNG. Labels are mathtext."""
     all_of_it = drawing if isinstance(drawing, Panels) else Panels([drawing])
     count, across = len(all_of_it.panels), all_of_it.across
-    size_px = (800 * count, 600) if across else (1000, 420 * count)
+    size = (8.0 * count, 6.0) if across else (10.0, 4.2 * count)
     rows, columns = (1, count) if across else (count, 1)
-    with picture(path, *size_px, layout="constrained") as sheet:
+    with figure_settings(SCREEN), mpl.rc_context({"text.parse_math": True}):
+        sheet = mpl_figure.Figure(size, _SCREEN_DPI, facecolor="white", layout="constrained")
         grid = sheet.subplots(rows, columns, squeeze=False)
         for panel, axes in zip(all_of_it.panels, grid.flat, strict=True):
             axes.grid()
             panel.plot(axes)
+        for kind in FORMATS:
+            write_whole(with_ending(stem, kind), written(sheet, kind, _SCREEN_DPI))
+
+
+def contact_sheet(pictures: Sequence[tuple[str, Path]], path: Path) -> None:
+    """All of them in small, each under its name, on one PNG. ``pictures``: (name, PNG)."""
+    columns = 6
+    rows = -(-len(pictures) // columns)
+    with figure_settings(SCREEN):
+        sheet = mpl_figure.Figure((3.2 * columns, 2.6 * rows), _SCREEN_DPI, facecolor="white")
+        grid = sheet.subplots(rows, columns, squeeze=False)
+        for axes in grid.flat:
+            axes.set_axis_off()
+        for axes, (name, picture) in zip(grid.flat, pictures, strict=False):
+            axes.imshow(mpl_image.imread(picture))
+            axes.set_title(name, fontsize=9)
+        sheet.subplots_adjust(0.01, 0.01, 0.99, 0.97, 0.04, 0.16)
+        write_whole(path, written(sheet, "png", _SCREEN_DPI))
 
 
 def level(axes: Axes, value: float, text: str, place: float = 1.0) -> None:
@@ -125,12 +159,15 @@ def errors(
     for (name, values), style in zip(series.items(), styles, strict=False):
         at = np.arange(first, first + len(np.asarray(values)))
         curves.append(Curve(at, values, name, style | dots))
-    settings = {"yscale": "log", "xlabel": "iteration i", "ylabel": "max|e_i(t)|"} | axes
+    settings = {"yscale": "log", "xlabel": "iteration $i$", "ylabel": r"$\max_t\,|e_i(t)|$"} | axes
     return Panel(curves, settings, levels, columns, more, contradicts)
 
 
-def field_map(time: F64, field: F64, name: str, contradicts: str = "") -> Panel:
-    """A field (samples, nodes) over place and time as a map with lines of equal height."""
+def field_map(
+    time: F64, field: F64, name: str, contradicts: str = "", cut: float | None = None
+) -> Panel:
+    """A field (samples, nodes) over place and time as a map with lines of equal height. ``cut``:
+    where what is higher was cut off."""
     where = np.linspace(0.0, 1.0, field.shape[1])
     low, high = float(field.min()), float(field.max())
     light = high + 0.9 * (high - low)  # or lines and labels drown in black
@@ -142,7 +179,8 @@ def field_map(time: F64, field: F64, name: str, contradicts: str = "") -> Panel:
         )
         axes.figure.colorbar(shades, ax=axes, ticks=lines.levels).add_lines(lines)
         axes.grid(False)
-        axes.set_title(f"{name}(x, t)", fontsize=14, fontweight="normal")
+        title = f"${name}(x, t)$" + (f", cut at {cut:g}" if cut else "")
+        axes.set_title(title, fontsize=14, fontweight="normal")
 
-    labels = {"xlabel": "t, min", "ylabel": "x"}
+    labels = {"xlabel": "$t$ (min)", "ylabel": "$x$"}
     return Panel([], labels, more=contours, contradicts=contradicts)

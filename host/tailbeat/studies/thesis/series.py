@@ -4,7 +4,7 @@ learner of its own in C, the plant of all of them in numpy. Trials may be cut at
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import Any
 
@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
-from tailbeat.report.style import Axes
 from tailbeat.studies.thesis import study
 from tailbeat.studies.thesis.example import ExampleOptions, ExampleRun, Prepared
 from tailbeat.studies.thesis.learner import Learner, LearnerConfig, LearnerRefused, Precision
 from tailbeat.studies.thesis.options import Length, errors_beyond, length_settings, parse
-from tailbeat.studies.thesis.picture import LINES, REFERENCE, THIN, Curve, Panel, Panels
+from tailbeat.studies.thesis.picture import LINES, Curve, Panel
 
 Respond = Callable[[F64, int], F64]
 """Inputs (series, samples) and the iteration -> outputs (series, samples)."""
@@ -228,28 +227,15 @@ def stays_within(errors: F64, bound: float) -> F64:
     return np.where(above[:, -1], np.inf, start)
 
 
-CUT_OUTPUTS = "Output of some iterations; dotted: beyond the trial's end, which is not measured."
-
-
-def outputs(
-    found: SeriesOutcome, iterations: Sequence[int], time: str, name: str, scale: float = 1.0
-) -> Panels:
-    """Outputs of the first series in those of these iterations that were kept."""
-    times, reference = found.problem.times, scale * found.problem.reference
-    panels = []
-    for i in (one for one in iterations if one in found.kept):
+def error_profiles(found: SeriesOutcome, iterations: Sequence[int], time: str, name: str) -> Panel:
+    """Errors over a trial of the first series in those of these iterations that were kept, each as
+    far as the trial got; a dot ends it."""
+    times, reference = found.problem.times, found.problem.reference
+    curves = []
+    for i, style in zip((one for one in iterations if one in found.kept), LINES, strict=False):
         until = min(float(found.lengths[0, i]), float(times[-1]))
-        reached, output = times <= until, scale * found.trial(i)[1]
-        curves = [
-            Curve(times, reference, "reference", REFERENCE),
-            Curve(times, output, style=LINES[2]),
-            Curve(times[reached], output[reached], f"iteration {i}"),
-        ]
-        end = partial(_end_line, until) if until < times[-1] else None
-        panels.append(Panel(curves, {"ylabel": name}, more=end))
-    last = replace(panels[-1], axes={"ylabel": name, "xlabel": time})
-    return Panels([*panels[:-1], last], across=False)
-
-
-def _end_line(until: float, axes: Axes) -> None:
-    axes.axvline(until, **THIN)
+        reached = times <= until
+        error = (reference - found.trial(i)[1])[reached]
+        end = {"marker": "o", "markevery": [len(error) - 1], "ms": 8}
+        curves.append(Curve(times[reached], error, f"iteration {i}", style | end))
+    return Panel(curves, {"xlabel": time, "ylabel": name})

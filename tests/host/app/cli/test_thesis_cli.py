@@ -78,7 +78,7 @@ CLAIMS = (
     said("said by nobody else", "beside (2.3)", Found(True, 4), ours=True),
 )
 FIGURES = (
-    Sketch("fig2-3.png", "Fig. 2.3", "errors", lambda study: Panel(
+    Sketch("2.3", "errors", lambda study: Panel(
         [Curve([0, 1], [1, 0])], {}, contradicts="its numbers"
     )),
 )
@@ -199,7 +199,7 @@ def test_text_fits_a_hundred_columns(stubs: Path, capsys: pytest.CaptureFixture[
     assert sum(line.startswith("said by nobody else") for line in lines) == 1
     joined = " ".join(shown.split())
     assert "Fig. 2.3, errors contradicted by the text's own numbers: its numbers" in joined
-    assert (stubs / "new" / "drawn" / "fig2-3.png").exists()
+    assert (stubs / "new" / "drawn" / "fig-2.3.svg").exists()
 
 
 def test_options_reach_those_that_know_them(
@@ -403,6 +403,8 @@ def test_a_real_example(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         [0.0791, 0.0353, 0.0139, 0.0049, 0.0018, 0.0010, 0.0010], abs=2e-4
     )
     assert found["iterations"] == list(range(7)) and len(found["claims"]) >= 10
-    assert [Path(figure["path"]).name for figure in found["figures"]] == [
-        "fig8-3.png", "fig8-4.png", "figA-1.png",
-    ]  # fmt: skip
+    drawn = {Path(figure["path"]).name for figure in found["figures"]}
+    assert drawn >= {"fig-8.3.pdf", "fig-8.4.pdf", "fig-8.5.pdf", "fig-8.9.pdf", "fig-A.1.pdf"}
+    for ending in ("pdf", "svg", "png", "txt"):
+        assert (tmp_path / f"fig-8.9.{ending}").stat().st_size > 50
+    assert (tmp_path / "contact-sheet.png").stat().st_size > 10_000

@@ -401,8 +401,8 @@ def test_options_that_make_no_sense(options: dict[str, float]) -> None:
 
 def test_figures(tmp_path: Path) -> None:
     drawn = Study(EXAMPLE).draw(tmp_path)
-    assert {f.path.name for f in drawn} >= {"fig6-1.png", "fig6-2.png", "fig6-3.png"}
-    assert all(f.path.read_bytes()[:4] == b"\x89PNG" for f in drawn)
+    assert {f.name for f in drawn} >= {"Fig. 6.1", "Fig. 6.2", "Fig. 6.3"}
+    assert all(f.path.read_bytes()[:4] == b"%PDF" for f in drawn)
     assert "13.20" in next(f for f in drawn if f.name == "Fig. 6.1").contradicts
 
 

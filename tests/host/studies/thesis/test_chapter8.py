@@ -337,6 +337,7 @@ def test_eighty_percent_can_fail() -> None:
 
 def test_figures_are_drawn_once(tmp_path: Path) -> None:
     drawn = [figure for one in EXAMPLES for figure in Study(one).draw(tmp_path)]
-    assert [figure.name for figure in drawn] == ["Fig. 8.3", "Fig. 8.4", "Fig. A.1"]
+    names = [figure.name for figure in drawn if figure.name]
+    assert sorted(names) == [*(f"Fig. 8.{n}" for n in range(3, 10)), "Fig. A.1"]
     for figure in drawn:
-        assert figure.path.read_bytes().startswith(b"\x89PNG") and figure.path.parent == tmp_path
+        assert figure.path.read_bytes().startswith(b"%PDF") and figure.path.parent == tmp_path

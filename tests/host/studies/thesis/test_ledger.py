@@ -48,3 +48,17 @@ def test_the_standard_of_continuous_time(
     runs: list[tuple[float, bool, int | None]], found: tuple[bool, bool]
 ) -> None:
     assert in_continuous_time([SampledRun(*run) for run in runs]) == found
+
+
+LAST = {2: 10, 3: 5, 4: 13, 5: 6, 6: 3, 7: 7, 8: 9}
+NOT_COMPUTED = {"2.1", "8.1", "8.2"}  # drawings; 8.10 to 8.12: a photograph and the tank
+
+
+def test_every_numbered_figure_is_there_once() -> None:
+    drawn = Counter(sketch.number for example in EXAMPLES for sketch in example.figures)
+    asked = {f"{chapter}.{n}" for chapter, last in LAST.items() for n in range(1, last + 1)}
+    assert set(drawn) >= (asked - NOT_COMPUTED) | {"A.1"}
+    assert max(drawn.values()) == 1
+    for example in EXAMPLES:
+        for sketch in example.figures:
+            assert sketch.caption.endswith(".") and bool(sketch.name) == ("." in sketch.number)

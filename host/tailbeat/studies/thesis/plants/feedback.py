@@ -282,45 +282,38 @@ def errors(series: Mapping[str, LoopTrials]) -> Panels:
         [
             picture.errors(
                 {name: trials.max_abs_error[:, state] for name, trials in series.items()},
-                first=1, ylabel=f"max|e_{state + 1}(t)|",
+                first=1, ylabel=rf"$\max_t\,|e_{{i,{state + 1}}}(t)|$",
             )
             for state in range(STATES)
         ]
     )  # fmt: skip
 
 
-def states(trials: LoopTrials) -> Panels:
-    """Both states and their references in the trials that were kept; one panel per state."""
+def states(trials: LoopTrials, state: int) -> Panels:
+    """A state and its reference in the trials that were kept, one panel each."""
     panels = []
     for trial, whole in sorted(trials.traces.items()):
         trace = thinned(whole)
-        for state in range(STATES):
-            curves = [
-                Curve(trace[:, 0], trace[:, 3 + state], "reference", REFERENCE),
-                Curve(trace[:, 0], trace[:, 1 + state], f"trial {trial}"),
-            ]
-            panels.append(_over_time(trace, f"x_{state + 1}", curves))
+        curves = [
+            Curve(trace[:, 0], trace[:, 3 + state], "reference", REFERENCE),
+            Curve(trace[:, 0], trace[:, 1 + state], f"iteration {trial}"),
+        ]
+        panels.append(_over_time(trace, f"$x_{state + 1}$", curves))
     return Panels(panels, across=False)
 
 
-def inputs(series: Mapping[str, LoopTrials], trial: int) -> Panels:
-    """Both inputs in a trial of several series, one panel per series and input."""
-    panels = []
-    for channel in range(STATES):
-        for name, trials in series.items():
-            trace = trials.traces[trial]
-            curve = Curve(
-                trace[:, 0], trace[:, 5 + channel], f"{name}, trial {trial}", _CHATTER_LINE
-            )
-            panels.append(_over_time(trace, f"u_{channel + 1}", [curve]))
-    return Panels(panels, across=False)
+def input_of(trials: LoopTrials, trial: int, channel: int) -> Panel:
+    """An input in a trial that was kept."""
+    trace = trials.traces[trial]
+    curve = Curve(trace[:, 0], trace[:, 5 + channel], f"iteration {trial}", _CHATTER_LINE)
+    return _over_time(trace, f"$u_{channel + 1}$", [curve])
 
 
 _CHATTER_LINE: dict[str, Any] = {"color": "0.15", "lw": 0.8}
 
 
 def _over_time(trace: F64, name: str, curves: list[Curve]) -> Panel:
-    return Panel(curves, {"ylabel": name, "xlabel": "t", "xlim": (0.0, trace[-1, 0])})
+    return Panel(curves, {"ylabel": name, "xlabel": "$t$", "xlim": (0.0, trace[-1, 0])})
 
 
 def thinned(trace: F64) -> F64:
