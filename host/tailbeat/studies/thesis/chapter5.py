@@ -94,7 +94,8 @@ def _leakage(study: Study) -> Found:
 def _smooth(study: Study) -> Found:
     mine, others = (one.variation(LAST) for one in (study.traces, loop.other(CASE1_SIGN)))
     note = f"Total variation of both inputs in trial {LAST}; of I_1 {loop.pair(others)}."
-    return Found(np.all(np.array(others) / np.array(mine) > loop.CHATTER), mine, note)
+    calmer = np.all(np.array(others) / np.array(mine) > loop.CHATTER)
+    return Found(calmer and loop.is_smooth(study.traces, LAST), mine, note)
 
 
 @claim(SMOOTH, "5-theorem-5.2")
@@ -157,7 +158,7 @@ def _continuous(study: Study) -> Found:
         loop.run_trials(loop.on(CASE2, 100, softness=softness), LAST).variation(LAST)
         for softness in (0.0, SOFTNESS)
     )
-    smooth = np.all(np.isfinite(here)) and max(here) < loop.CHATTER * max(found.max_abs_input[-1])
+    smooth = loop.is_smooth(found, LAST)
     note = f"""Total variation of both inputs in trial {LAST}, continuous time. But the unit vectors
     B'e/|B'e| are not smoothed: with the input held for 5 ms it is {loop.pair(slow)}, and
     {loop.pair(soft)} with {SOFTNESS} added to |B'e|."""

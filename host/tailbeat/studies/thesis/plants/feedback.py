@@ -302,6 +302,13 @@ def states(trials: LoopTrials, state: int) -> Panels:
     return Panels(panels, across=False)
 
 
+def is_smooth(trials: LoopTrials, trial: int) -> bool:
+    """Whether the inputs of the last trial vary by less than ten times the largest of them."""
+    variation = trials.variation(trial)
+    largest = CHATTER * float(np.max(trials.max_abs_input[-1]))
+    return bool(np.all(np.isfinite(variation)) and max(variation) < largest)
+
+
 def input_of(trials: LoopTrials, trial: int, channel: int) -> Panel:
     """An input in a trial that was kept."""
     trace = trials.traces[trial]
