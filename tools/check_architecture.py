@@ -30,9 +30,9 @@ PACKAGE = "tailbeat"
 # (MCAP with films, ULog); by what works without the clone (the packaged image and tests, flashing
 # as a dry run); by one place for what differs between systems, each function of which can be faked;
 # by the ledger of the thesis's claims, with those of section 8.5.2 and the bounds of its theorems,
-# and all of its figures under their own numbers.
-FILES_MAX = 292
-CODE_LINES_MAX = 44_950
+# all of its figures under their own numbers, and the paper made of both.
+FILES_MAX = 293
+CODE_LINES_MAX = 45_140
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

@@ -34,6 +34,7 @@ from tailbeat.studies.montecarlo.summary import (
 )
 from tailbeat.studies.thesis import study
 from tailbeat.studies.thesis.example import VERDICTS, Claim, Example, ExampleOptions
+from tailbeat.studies.thesis.paper import Paper, write_html, write_pdf
 from tailbeat.studies.thesis.picture import contact_sheet
 from tailbeat.studies.thesis.study import Result, checked, choose
 
@@ -46,6 +47,7 @@ _SHOWN = (0, 1, 2, 3, 4, 5, 6, 8, 10, 20, 50, 100, 200, 500, 1000)  # iterations
 def thesis(
     what: str | None = arg("2 to 8, or an example like ch2-ex1; default: all.", "CHAPTER|EXAMPLE"),
     figures: Path | None = opt("Draw the figures.", "DIR"),
+    paper: Path | None = opt("Write ledger, findings and figures as thesis.pdf and .html.", "DIR"),
     lengths: str | None = opt(
         "Lengths of the trials; EXPR: of the iteration i, like 45+3*(i%4).",
         "full|uniform|pattern:EXPR",
@@ -79,10 +81,11 @@ def thesis(
         given,
         ExampleOptions(precision=precision),
     )
-    if figures is not None:
-        figures.mkdir(parents=True, exist_ok=True)
+    folder = figures or paper
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
     orders = [
-        study.Order(one.id, options, claims, figures, study.REGISTRY) for one, options in chosen
+        study.Order(one.id, options, claims, folder, study.REGISTRY) for one, options in chosen
     ]
     weights = [one.weight for one, _ in chosen]
     with progress_bar("thesis") as show:
@@ -94,8 +97,8 @@ def thesis(
             echo("tailbeat: stopped; nothing is kept. Run it again.", err=True)
             raise typer.Exit(130) from None
     found = [(one, result) for (one, _), result in zip(chosen, results, strict=True)]
-    if figures is not None:
-        _contact_sheet(results, figures)
+    if folder is not None:
+        _write_sheets(found, folder, paper)
     document = {
         "examples": [_thesis_document(one, result) for one, result in found],
         "verdicts": _counts(results, ours=False),
@@ -104,9 +107,33 @@ def thesis(
     return Output(document, lambda: _thesis_text(found, set(given), _width()))
 
 
+def _write_sheets(found: list[tuple[Example, Result]], figures: Path, paper: Path | None) -> None:
+    _contact_sheet([result for _, result in found], figures)
+    if paper is not None:
+        _write_paper(found, paper)
+
+
+def _write_paper(found: list[tuple[Example, Result]], folder: Path) -> None:
+    claims = [claim for _, result in found for claim in result.claims]
+    figures = [one for _, result in found for one in result.figures if one.name]
+    figures.sort(key=lambda one: _in_order(one.path.stem))
+    sketches = [(one, sketch) for one, _ in found for sketch in one.figures if sketch.name]
+    sketches.sort(key=lambda pair: _in_order(pair[1].number))
+    made = Paper(claims, figures)
+    write_html(made, folder / "thesis.html")
+    with progress_bar("paper") as show:
+        pdf = folder / "thesis.pdf"
+        write_pdf(made, sketches, pdf, lambda done: show(done, f"{done:.0%}"))
+
+
+def _in_order(number: str) -> list[str]:
+    """To sort by: 2.9 before 2.10, A.1 last."""
+    return [f"{part:0>3}" for part in re.split(r"[.-]", number)]
+
+
 def _contact_sheet(results: list[Result], folder: Path) -> None:
     drawn = [figure for result in results for figure in result.figures]
-    drawn.sort(key=lambda one: [f"{part:0>3}" for part in re.split(r"[.-]", one.path.stem)])
+    drawn.sort(key=lambda one: _in_order(one.path.stem))
     if drawn:
         pictures = [(one.name or one.path.stem, one.path.with_suffix(".png")) for one in drawn]
         contact_sheet(pictures, folder / "contact-sheet.png")

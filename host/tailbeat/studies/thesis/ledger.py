@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from itertools import pairwise
+from typing import Any
 
 FILE = "ledger.toml"
 
@@ -33,8 +34,30 @@ class LedgerEntry:
 @cache
 def entries() -> Mapping[str, LedgerEntry]:
     """All claims by their id, in the ledger's order."""
-    text = resources.files(__package__).joinpath(FILE).read_text(encoding="utf-8")
-    return {row["id"]: LedgerEntry(**row) for row in tomllib.loads(text)["claim"]}
+    return {row["id"]: LedgerEntry(**row) for row in _document()["claim"]}
+
+
+@cache
+def _document() -> dict[str, Any]:
+    return tomllib.loads(resources.files(__package__).joinpath(FILE).read_text(encoding="utf-8"))
+
+
+@dataclass(frozen=True)
+class ThesisFinding:
+    """What was found. ``text``: a template of ``c``, by claim what was measured."""
+
+    title: str
+    text: str
+    claims: tuple[str, ...]
+
+
+@cache
+def findings() -> tuple[ThesisFinding, ...]:
+    """In the ledger's order."""
+    return tuple(
+        ThesisFinding(row["title"], row["text"], tuple(row["claims"]))
+        for row in _document()["finding"]
+    )
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,9 @@ printer."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -101,18 +102,35 @@ def with_ending(stem: Path, ending: str) -> Path:
 
 def draw(stem: Path, drawing: Panel | Panels) -> None:
     """Writes it as PDF, SVG and PNG. Labels are mathtext."""
-    all_of_it = drawing if isinstance(drawing, Panels) else Panels([drawing])
-    count, across = len(all_of_it.panels), all_of_it.across
+    count, across = len(_all(drawing)), drawing.across if isinstance(drawing, Panels) else True
     size = (8.0 * count, 6.0) if across else (10.0, 4.2 * count)
-    rows, columns = (1, count) if across else (count, 1)
-    with figure_settings(SCREEN), mpl.rc_context({"text.parse_math": True}):
+    with sheets():
         sheet = mpl_figure.Figure(size, _SCREEN_DPI, facecolor="white", layout="constrained")
-        grid = sheet.subplots(rows, columns, squeeze=False)
-        for panel, axes in zip(all_of_it.panels, grid.flat, strict=True):
-            axes.grid()
-            panel.plot(axes)
+        compose(sheet, drawing)
         for kind in FORMATS:
             write_whole(with_ending(stem, kind), written(sheet, kind, _SCREEN_DPI))
+
+
+@contextmanager
+def sheets(text_pt: float = SCREEN.text_pt) -> Iterator[None]:
+    """The settings these figures are made with."""
+    style = replace(SCREEN, text_pt=text_pt)
+    with figure_settings(style), mpl.rc_context({"text.parse_math": True}):
+        yield
+
+
+def compose(sheet: Any, drawing: Panel | Panels) -> None:
+    """Puts the panels on a figure or a part of one."""
+    panels = _all(drawing)
+    across = drawing.across if isinstance(drawing, Panels) else True
+    rows, columns = (1, len(panels)) if across else (len(panels), 1)
+    for panel, axes in zip(panels, sheet.subplots(rows, columns, squeeze=False).flat, strict=True):
+        axes.grid()
+        panel.plot(axes)
+
+
+def _all(drawing: Panel | Panels) -> Sequence[Panel]:
+    return drawing.panels if isinstance(drawing, Panels) else [drawing]
 
 
 def contact_sheet(pictures: Sequence[tuple[str, Path]], path: Path) -> None:

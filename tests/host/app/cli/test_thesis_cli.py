@@ -397,7 +397,7 @@ def test_a_process_that_dies_is_told(stubs: Path) -> None:
 
 
 def test_a_real_example(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ("ch8-sim-4", "--iterations", "6", "--figures", str(tmp_path))
+    words = ("ch8-sim-4", "--iterations", "6", "--paper", str(tmp_path))
     (found,) = document(capsys, *words)["examples"]
     assert found["max_abs_error"] == pytest.approx(
         [0.0791, 0.0353, 0.0139, 0.0049, 0.0018, 0.0010, 0.0010], abs=2e-4
@@ -408,3 +408,8 @@ def test_a_real_example(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     for ending in ("pdf", "svg", "png", "txt"):
         assert (tmp_path / f"fig-8.9.{ending}").stat().st_size > 50
     assert (tmp_path / "contact-sheet.png").stat().st_size > 10_000
+    assert (tmp_path / "thesis.pdf").read_bytes().startswith(b"%PDF")
+    page = (tmp_path / "thesis.html").read_text("utf-8")
+    assert all(f'id="claim-{claim["id"]}"' in page for claim in found["claims"])
+    assert page.count("<svg") == 5 and "The end of the reference (8.31) is infeasible" in page
+    assert "until 38.47 s" in page and "The plant of chapter 7" not in page, "of what was judged"
