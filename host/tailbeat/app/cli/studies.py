@@ -87,15 +87,7 @@ def thesis(
     orders = [
         study.Order(one.id, options, claims, folder, study.REGISTRY) for one, options in chosen
     ]
-    weights = [one.weight for one, _ in chosen]
-    with progress_bar("thesis") as show:
-        try:
-            results = study.run_many(
-                orders, weights, cores or cores_here(), lambda done: show(done, f"{done:.0%}")
-            )
-        except KeyboardInterrupt:
-            echo("tailbeat: stopped; nothing is kept. Run it again.", err=True)
-            raise typer.Exit(130) from None
+    results = _computed(orders, [one.weight for one, _ in chosen], cores or cores_here())
     found = [(one, result) for (one, _), result in zip(chosen, results, strict=True)]
     if folder is not None:
         _write_sheets(found, folder, paper)
@@ -107,9 +99,19 @@ def thesis(
     return Output(document, lambda: _thesis_text(found, set(given), _width()))
 
 
+def _computed(orders: list[study.Order], weights: list[float], cores: int) -> list[Result]:
+    with progress_bar("thesis") as show:
+        try:
+            return study.run_many(orders, weights, cores, lambda done: show(done, f"{done:.0%}"))
+        except KeyboardInterrupt:
+            echo("tailbeat: stopped; nothing is kept. Run it again.", err=True)
+            raise typer.Exit(130) from None
+
+
 def _write_sheets(found: list[tuple[Example, Result]], figures: Path, paper: Path | None) -> None:
     _contact_sheet([result for _, result in found], figures)
     if paper is not None:
+        paper.mkdir(parents=True, exist_ok=True)
         _write_paper(found, paper)
 
 
