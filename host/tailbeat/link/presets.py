@@ -12,8 +12,10 @@ THESIS: Mapping[str, float] = {
     "AMP_MAX_RAD": _LAW.amplitude_max_rad,
     "DU_MAX_RAD": _LAW.step_max_rad,
     **_LAW.params(),
+    "ROLLBACK_RATIO": 0.0,
 }
-"""The learning law of (8.16) and its amplitude limit, as in the simulations of chapter 8."""
+"""The learning law of (8.16) and its amplitude limit, as in the simulations of chapter 8: no limit
+of the change per trial, no rollback."""
 
 PRESETS: Mapping[str, Mapping[str, float]] = {"thesis": THESIS}
 

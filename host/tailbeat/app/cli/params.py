@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated
 
+import typer
+
 from tailbeat.app.cli._fish import ConnectedFish
-from tailbeat.app.cli._lazy import arg
+from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._terminal import Output, pick, table, warn
+from tailbeat.core.errors import InputError
 from tailbeat.core.extras import lazy
 from tailbeat.core.param_names import current_name
 from tailbeat.link.params import Parameter
@@ -65,14 +70,18 @@ def set_(
 def preset(
     fish: ConnectedFish,
     name: str = arg("Which set of values.", "thesis"),
+    yes: bool = opt("Do not ask."),
 ) -> Output:
     """Set all parameters of a named set: thesis = the learning law of the thesis and its limits.
 
-    It allows amplitudes up to 0.785 rad: use it only when the fish's commissioning allows that.
+    It allows amplitudes up to 0.785 rad and never rolls back: a real board is asked for first. Use
+    it only when the fish's commissioning allows that.
 
     Example: tailbeat params preset thesis
     """
     values = presets.preset(name)
+    if not (yes or fish.info().simulated):
+        _ask(fish, name, values)
     held = fish.params.apply(values)
     in_experiment.note_set(fish, {now.name: now.value for _, now in held.values()})
     rows = [
@@ -81,6 +90,15 @@ def preset(
     ]
     document = {"preset": name, "params": [pick(now, *_KEYS) for _, now in held.values()]}
     return Output(document, lambda: table(["name", "value", "unit", ""], rows, left=(0, 2, 3)))
+
+
+def _ask(fish: ConnectedFish, name: str, values: Mapping[str, float]) -> None:
+    """Raises InputError unless somebody is there and says yes."""
+    amplitude = "AMP_MAX_RAD"
+    rises = f"{amplitude} from {_number(fish.params.get(amplitude).value)}"
+    question = f"Set {len(values)} parameters ({rises} to {_number(values[amplitude])})?"
+    if not (sys.stdin.isatty() and typer.confirm(f"tailbeat: {question}", err=True)):
+        raise InputError(f"preset {name} was not set.", "Say y at a terminal, or give --yes.")
 
 
 def _unlike(word: str, other: float, value: float) -> str:

@@ -6,12 +6,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tailbeat.app.cli import run
+from tailbeat.link.messages import BOARD_KINDS
 from tailbeat.sim.board import SimBoard, SimTransport
 
 
@@ -115,6 +117,26 @@ def test_discard(board: Shell) -> None:
     board.text("trial", "run")
     assert board.json("trial", "discard")["pending_trial"] is None
     assert "waiting to be learned" in board.fails("learn")
+
+
+def test_a_preset_is_asked_for_on_a_real_board(
+    board: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board.text("params", "reset")
+    monkeypatch.setitem(BOARD_KINDS, 2, "fish")
+    assert "preset thesis was not set" in board.fails("params", "preset", "thesis")
+    assert board.json("params", "get", "AMP_MAX_RAD")["value"] == 0.5
+    questions: list[str] = []
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
+    monkeypatch.setattr("typer.confirm", lambda text, err: bool(questions.append(text)) or True)
+    board.text("params", "preset", "thesis")
+    assert "AMP_MAX_RAD from 0.5 to 0.785" in questions[0] and len(questions) == 1
+    assert board.json("params", "get", "ROLLBACK_RATIO")["value"] == 0
+    board.text("params", "reset")
+    board.text("params", "preset", "thesis", "--yes")
+    assert board.json("params", "get", "AMP_MAX_RAD")["value"] == pytest.approx(0.785398)
+    assert len(questions) == 1
+    board.text("params", "reset")
 
 
 def test_params(board: Shell, tmp_path: Path) -> None:
