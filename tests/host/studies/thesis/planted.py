@@ -134,15 +134,21 @@ def no_lead() -> None:
     law(lead=lambda one: 0.0)
 
 
-@plant(8)
-def four_times_the_drag() -> None:
+def fish(**factors: float) -> None:
+    """On the numbers of the fish of chapter 8."""
     made = cruise.CruisePlant.__init__
 
     def init(self: Any, *args: Any, **named: Any) -> None:
         made(self, *args, **named)
-        self.config.drag_kg_m *= 4.0
+        for name, factor in factors.items():
+            setattr(self.config, name, getattr(self.config, name) * factor)
 
     cruise.CruisePlant.__init__ = init  # type: ignore[method-assign]
+
+
+@plant(8)
+def four_times_the_drag() -> None:
+    fish(drag_kg_m=4.0)
 
 
 @plant(8)
@@ -167,13 +173,7 @@ def a_table_at_half_the_angle() -> None:
 
 @plant(8)
 def a_heavy_fish() -> None:
-    made = cruise.CruisePlant.__init__
-
-    def init(self: Any, *args: Any, **named: Any) -> None:
-        made(self, *args, **named)
-        self.config.mass_kg *= 25.0
-
-    cruise.CruisePlant.__init__ = init  # type: ignore[method-assign]
+    fish(mass_kg=25.0)
 
 
 @plant(8)
