@@ -32,7 +32,7 @@ PACKAGE = "tailbeat"
 # by the ledger of the thesis's claims, with those of section 8.5.2 and the bounds of its theorems,
 # all of its figures under their own numbers, and the paper made of both.
 FILES_MAX = 293
-CODE_LINES_MAX = 45_150
+CODE_LINES_MAX = 45_160
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

@@ -143,7 +143,7 @@ def _contact_sheet(results: list[Result], folder: Path) -> None:
 
 def _thesis_document(example: Example, result: Result) -> dict[str, Any]:
     return {
-        **pick(example, "id", "chapter", "title", "law"),
+        **pick(example, "id", "chapter", "title", "law", "on_board"),
         "settings": example.settings_of(result.options),
         **pick(result, "iterations", "max_abs_error", "lengths", "claims", "figures"),
         "executed_max_abs_error": result.executed,
@@ -172,7 +172,8 @@ def _thesis_text(found: list[tuple[Example, Result]], given: set[str], width: in
 
 def _paragraphs(found: list[tuple[Example, Result]], given: set[str], width: int) -> Iterator[str]:
     for example, result in found:
-        yield f"{example.id}: {example.title}; {example.law}"
+        where = "" if example.on_board else ", not on the board"
+        yield f"{example.id}: {example.title}; {example.law}{where}"
         if given & example.knows or result.options.precision != "double":
             values = example.settings_of(result.options).items()
             words = ", ".join(f"{name} {_figure(one)}" for name, one in values if one is not None)

@@ -18,7 +18,9 @@ EXAMPLE1_BLOCK = loop.Chapter4(loop.TimeGrid(5000, "rk4"), block=True)
 EXAMPLE2_SIGN = loop.Chapter4(loop.TimeGrid(5000, "held"), varying=True)
 EXAMPLE2_SMOOTH = loop.Chapter4(loop.TimeGrid(5000, "rk4"), varying=True, smooth=True)
 
-_example = partial(Example, prepare=loop.prepare, knows=frozenset({"step", "iterations"}))
+_example = partial(
+    Example, prepare=loop.prepare, knows=frozenset({"step", "iterations"}), on_board=False
+)
 EX1 = _example(
     "ch4-ex1", "Constant parameters, a reference that changes (example 1)",
     "adaptive, (4.5)-(4.6)", loop.Chapter4(loop.TimeGrid(20000, "rk4")), weight=10.0,

@@ -17,7 +17,9 @@ CASE1_SIGN = loop.Chapter5(loop.TimeGrid(5000, "held"))
 CASE1_SMOOTH = loop.Chapter5(loop.TimeGrid(500, "rk4"), smooth=True)
 CASE2 = loop.Chapter5(loop.TimeGrid(500, "rk4"), smooth=True, uncertain=True)
 
-_example = partial(Example, prepare=loop.prepare, knows=frozenset({"step", "iterations"}))
+_example = partial(
+    Example, prepare=loop.prepare, knows=frozenset({"step", "iterations"}), on_board=False
+)
 SIGN = _example(
     "ch5-case1-sign", "Input gain known, sign law (case 1)", "robust with sgn, (5.5)-(5.6)",
     CASE1_SIGN, weight=6.0,

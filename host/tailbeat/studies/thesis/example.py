@@ -175,6 +175,7 @@ class Example:
     weight: float = 1.0  # seconds that run and claims take, about
     claims: list[Statement] = field(default_factory=list)
     figures: list[Sketch] = field(default_factory=list)
+    on_board: bool = True  # whether the board has this law; else it never flies
 
     @property
     def chapter(self) -> int:

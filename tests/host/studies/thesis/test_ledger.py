@@ -62,3 +62,9 @@ def test_every_numbered_figure_is_there_once() -> None:
     for example in EXAMPLES:
         for sketch in example.figures:
             assert sketch.caption.endswith(".") and bool(sketch.name) == ("." in sketch.number)
+
+
+def test_laws_that_never_fly() -> None:
+    """The feedback laws of chapters 4 and 5; the board has all others."""
+    assert {example.chapter for example in EXAMPLES if not example.on_board} == {4, 5}
+    assert all(not example.on_board for example in EXAMPLES if example.chapter in (4, 5))
