@@ -30,9 +30,10 @@ PACKAGE = "tailbeat"
 # (MCAP with films, ULog); by what works without the clone (the packaged image and tests, flashing
 # as a dry run); by one place for what differs between systems, each function of which can be faked;
 # by the ledger of the thesis's claims, with those of section 8.5.2 and the bounds of its theorems,
-# all of its figures under their own numbers, and the paper made of both.
-FILES_MAX = 293
-CODE_LINES_MAX = 45_160
+# all of its figures under their own numbers, and the paper made of both; by the studies of its
+# section 9.2 with a comparison of every figure with its text.
+FILES_MAX = 296
+CODE_LINES_MAX = 45_460
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

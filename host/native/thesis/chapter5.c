@@ -30,6 +30,10 @@ static void input_gain(double t, const double *state, double *b) {
     b[1] = 1.0 + sin(state[1]) + 0.1 * sin(4.0 * PI * t);
 }
 
+static double actuated(const chapter5_t *example, double input) {
+    return fmax(-example->input_max, fmin(example->input_max, input));
+}
+
 static void slope(const void *with, double t, const double *state, const double *input,
                   double *to) {
     const chapter5_t *example = with;
@@ -40,9 +44,9 @@ static void slope(const void *with, double t, const double *state, const double 
     known(state, f);
     input_gain(t, state, b);
     to[0] = f[0] + 4.0 * PI * cos(8.0 * PI * t) +
-            b[0] * (known_part * input[0] + part * 0.1 * sin(state[0]));
+            b[0] * (known_part * actuated(example, input[0]) + part * 0.1 * sin(state[0]));
     to[1] = f[1] + 4.0 * PI * sin(16.0 * PI * t) +
-            b[1] * (known_part * input[1] + part * 0.2 * sin(state[1]));
+            b[1] * (known_part * actuated(example, input[1]) + part * 0.2 * sin(state[1]));
 }
 
 static double bound_of_f(const chapter5_t *example, const double *state) {

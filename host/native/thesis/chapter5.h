@@ -20,6 +20,7 @@ typedef struct {
     bool inverse_norm;   /* |B^-1| for 1/|B| in the reserve, as the proof needs it */
     double softness;     /* of the direction; 0 as printed */
     double dead_zone, theta_max; /* not the thesis's: 0 and 1e30 are as printed */
+    double input_max; /* of the actuator, both channels; not the thesis's: 1e30 = no limit */
     loop_grid_t grid;
 } chapter5_t;
 

@@ -51,6 +51,20 @@ def _eighty_percent(study: Study) -> Found:
     return Found(False, down, note, down > 0.8)  # the tank's own record is not printed
 
 
+FEEDBACK_GAINS = (2.0, 4.0)  # of a PI controller, rad/(m/s), the second per beat
+
+
+@claim(GAIN4, "8-first-input")
+def _first_input(study: Study) -> Found:
+    feedback = cruise.FishTask(4.0, first_input=cruise.feedback_input(*FEEDBACK_GAINS))
+    errors = feedback.problem().uncut(_LONG), _beats(4.0, _LONG)
+    needed = [float(np.flatnonzero(one < _REACHED_M_S)[0]) for one in errors]
+    first = [float(one[0]) for one in errors]
+    note = """Iterations to 2 mm/s, gain 4, from the input of a PI controller and from zero; then
+    max|e| of iteration 0, m/s."""
+    return Found(needed[0] < needed[1], [*needed, *first], note)
+
+
 _FIGURE_LAST = 10  # iterations that figures 8.6 to 8.9 show
 _PART_OF_PEAK = 0.2
 _TRAP_STEPS_S = (0.2, 0.1, 0.05, 0.02)

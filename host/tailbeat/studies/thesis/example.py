@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.core.files import write_whole
 from tailbeat.studies.thesis.learner import Precision
-from tailbeat.studies.thesis.ledger import LedgerEntry, entries
+from tailbeat.studies.thesis.ledger import LedgerEntry, entries, figure_comparisons
 from tailbeat.studies.thesis.picture import Panel, Panels, draw, with_ending
 
 Uptake = Literal["clip", "abs", "monod", "none"]
@@ -112,12 +112,14 @@ class ExampleRun:
 @dataclass(frozen=True)
 class Figure:
     """A figure that was drawn: ``path`` with the endings .pdf, .svg, .png and, for the caption,
-    .txt. ``contradicts``: what the text's own numbers say against it."""
+    .txt. ``contradicts``: what the text's own numbers say against it; ``comparison``:
+    what was found when it was looked at."""
 
     path: Path
     name: str  # of the thesis: "Fig. 2.3"; empty: the thesis has none
     caption: str
     contradicts: str = ""
+    comparison: str = ""
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,12 @@ class Sketch:
         """Of the thesis."""
         return f"Fig. {self.number}" if _NUMBER.fullmatch(self.number) else ""
 
+    @property
+    def comparison(self) -> str:
+        """With the text, as the ledger has it; empty for a figure that is not of the thesis."""
+        found = figure_comparisons().get(self.number)
+        return "" if found is None else found.words
+
     def draw(self, study: Any, folder: Path) -> Figure:
         """Writes it into ``folder``."""
         drawing, stem = self.compose(study), folder / f"fig-{self.number}"
@@ -142,8 +150,11 @@ class Sketch:
         words = f"{whose}: {self.caption}"
         if drawing.contradicts:
             words += f" Against the text's own numbers: {drawing.contradicts}"
+        words = f"{words} {self.comparison}".rstrip()
         write_whole(with_ending(stem, "txt"), words + "\n")
-        return Figure(with_ending(stem, "pdf"), self.name, self.caption, drawing.contradicts)
+        return Figure(
+            with_ending(stem, "pdf"), self.name, self.caption, drawing.contradicts, self.comparison
+        )
 
 
 _NUMBER = re.compile(r"[0-9A]+\.[0-9]+")

@@ -61,6 +61,26 @@ def findings() -> tuple[ThesisFinding, ...]:
 
 
 @dataclass(frozen=True)
+class FigureComparison:
+    """A numbered figure as it was found when looked at beside its caption and the text."""
+
+    number: str
+    agrees: bool
+    why: str
+
+    @property
+    def words(self) -> str:
+        """As a sentence."""
+        return f"{'Agrees with' if self.agrees else 'Differs from'} the text: {self.why}."
+
+
+@cache
+def figure_comparisons() -> Mapping[str, FigureComparison]:
+    """By number, in the thesis's order."""
+    return {row["number"]: FigureComparison(**row) for row in _document()["figure"]}
+
+
+@dataclass(frozen=True)
 class SampledRun:
     """Errors of a theorem's law at one step. ``falls``: as promised up to the iterations that the
     thesis shows; ``departs_at``: the iteration from which they are above what is promised, or

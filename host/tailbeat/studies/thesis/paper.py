@@ -181,6 +181,7 @@ def _figure_page(sketches: Sequence[tuple[Example, Sketch]], studies: dict[str, 
             words = f"{sketch.name}: {sketch.caption}"
             if drawing.contradicts:
                 words += f" Against the text's own numbers: {drawing.contradicts}"
+            words = f"{words} {sketch.comparison}".rstrip()
             caption = "\n".join(textwrap.wrap(words, _CHARS))
             part.supxlabel(caption, fontsize=8, color=GREY, parse_math=False)
     return page

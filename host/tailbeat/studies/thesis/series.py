@@ -39,14 +39,15 @@ def always(iteration: int) -> float:
 class LearningProblem:
     """What is learned, by which law, on which plant. ``draw``: (seed, iteration) -> length of that
     trial, the example's own distribution; ``times`` and lengths in one unit. ``taught``: errors of
-    a trial -> what the law gets for them. ``target``: iteration -> factor on the reference."""
+    a trial -> what the law gets for them. ``target``: iteration -> factor on the reference.
+    ``first_input``: of iteration 0, one for all samples or one each."""
 
     times: F64
     reference: F64
     respond: Respond
     law: LearnerConfig
     draw: Callable[[int, int], float] = full
-    first_input: float = 0.0
+    first_input: float | F64 = 0.0
     taught: Callable[[F64], F64] | None = None
     target: Callable[[int], float] = always
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tailbeat.core.reference import thesis_speed
-from tailbeat.studies.thesis.chapter8 import GAIN4, GAIN7, GAIN10, GAINS
+from tailbeat.studies.thesis.chapter8 import FEEDBACK_GAINS, GAIN4, GAIN7, GAIN10, GAINS
 from tailbeat.studies.thesis.example import figure
 from tailbeat.studies.thesis.picture import LINES, REFERENCE, Curve, Panel, Panels, errors
 from tailbeat.studies.thesis.plants import cruise
@@ -92,6 +92,31 @@ def _inputs(study: Study) -> Panel:
     ]
     labels = {"xlabel": _SECONDS, "ylabel": r"$\theta_m$ (rad)"}
     return Panel(curves, labels, [cruise.AMPLITUDE_MAX_RAD], columns=4)
+
+
+@figure(
+    GAIN4, "8-table", "Table 8.1 of the thesis, measured in its tank, and steady speed of (8.13)."
+)
+def _table(study: Study) -> Panel:
+    angles, speeds = np.array(cruise.TABLE_8_1).T
+    grid = np.linspace(0, cruise.AMPLITUDE_MAX_RAD, 200)
+    curves = [
+        Curve(grid, cruise.CruisePlant(1.0).steady_m_s(grid), "(8.13)"),
+        Curve(angles, speeds, "Table 8.1", {"color": "0.15", "marker": "o", "ls": "none"}),
+    ]
+    return Panel(curves, {"xlabel": r"$\theta_m$ (rad)", "ylabel": "steady $v$ (m/s)"})
+
+
+@figure(
+    GAIN4, "8-first-input", "largest error, gain 4, from zero and from a PI controller's input."
+)
+def _first_input(study: Study) -> Panel:
+    first = cruise.feedback_input(*FEEDBACK_GAINS)
+    found = {
+        "from zero": cruise.FishTask(4.0).problem().uncut(_LAST),
+        "from a PI controller": cruise.FishTask(4.0, first_input=first).problem().uncut(_LAST),
+    }
+    return errors(found, marker=6, ylabel=r"$\max_t\,|e_i(t)|$ (m/s)")
 
 
 @figure(GAIN4, "A.1", "gradient of the thrust over the amplitude, at three speeds.")

@@ -100,7 +100,7 @@ class FishTask:
     else sampled control, u(k) held from t_k on and paired with e(k + ``pairing``), 1 as it must be,
     0 the trap. ``lead`` in samples more; ``q_len`` of Q; ``lags`` of the fish; ``remembered_sat``:
     whether what is stored is saturated first, as (8.16) has it. ``target``: factor on the
-    reference, by iteration."""
+    reference, by iteration. ``first_input``: of iteration 0, rad."""
 
     gain: float
     step_s: float | None = None
@@ -111,6 +111,7 @@ class FishTask:
     lags: Lags = Lags()
     remembered_sat: bool = True
     target: Callable[[int], float] = always
+    first_input: float | F64 = 0.0
 
     def problem(self) -> LearningProblem:
         """Iteration 0 has no amplitude. Beyond a cut the fish swims on virtually.
@@ -130,7 +131,7 @@ class FishTask:
         return LearningProblem(
             ends, reference_beats() if beats else thesis_speed(ends), respond,
             self._law(len(ends), step), draw, taught=None if self.pairing else _before,
-            target=self.target,
+            target=self.target, first_input=self.first_input,
         )  # fmt: skip
 
     def _law(self, samples: int, step: float) -> LearnerConfig:
@@ -139,6 +140,19 @@ class FishTask:
             samples, step=step, kp=self.gain, lead=self.lead, q_len=self.q_len, tail=self.tail,
             low=low, high=high,
         )  # fmt: skip
+
+
+def feedback_input(proportional: float, integral: float) -> F64:
+    """Amplitudes of a PI controller in its one trial, one per beat: it sees the mean speed of the
+    beat before. Gains in rad/(m/s), the second per beat."""
+    fish, wanted = CruisePlant(BEAT_S), reference_beats()
+    inputs, total, speed = np.zeros(BEATS), 0.0, 0.0
+    for k in range(BEATS):
+        error = wanted[k] - speed
+        total += integral * error
+        inputs[k] = np.clip(proportional * error + total, 0.0, AMPLITUDE_MAX_RAD)
+        speed = float(fish.speeds(inputs[: k + 1])[1][-1])
+    return inputs
 
 
 def trial_samples(step_s: float | None) -> int:

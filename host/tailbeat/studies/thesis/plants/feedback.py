@@ -69,7 +69,8 @@ class Chapter4:
 
 @dataclass(frozen=True)
 class Chapter5:
-    """``chapter5_t``. ``dead_zone``, ``theta_max`` and ``softness`` are not the thesis's."""
+    """``chapter5_t``. ``dead_zone``, ``theta_max``, ``input_max`` and ``softness`` are not the
+    thesis's."""
 
     grid: TimeGrid
     uncertain: bool = False
@@ -84,6 +85,7 @@ class Chapter5:
     softness: float = 0.0
     dead_zone: float = 0.0
     theta_max: float = NO_LIMIT
+    input_max: float = NO_LIMIT
 
     STRUCT: ClassVar[str] = "chapter5"
     ITERATIONS: ClassVar[int] = 50
