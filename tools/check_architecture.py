@@ -33,7 +33,7 @@ PACKAGE = "tailbeat"
 # all of its figures under their own numbers, and the paper made of both; by the studies of its
 # section 9.2 with a comparison of every figure with its text.
 FILES_MAX = 296
-CODE_LINES_MAX = 45_460
+CODE_LINES_MAX = 45_470
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

@@ -24,8 +24,7 @@ SEEDS = range(20)
 LOW = escaping.EscapeTask(0.3)
 HIGH = escaping.EscapeTask(1.0)
 CONTRACTION_GAIN = 10.0  # 1/s: a twentieth per sample; from 50 on it escapes at height 0.3, too
-_LEARNED = 0.2  # of the first error
-_DECADE = 0.1
+_LEARNED, _DECADE = 0.2, 0.1  # of the first error
 
 TIGHT, WIDE = 1.0, 4.0  # limits of the input
 ESTIMATE_MAX = 5.0

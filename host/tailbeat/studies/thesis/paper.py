@@ -29,6 +29,7 @@ TITLE = "On Iterative Learning Control for Solving New Control Problems, recompu
 SUBJECT = "X. Li, PhD thesis, National University of Singapore, 2016, chapters 2 to 8"
 _A4_IN = (8.27, 11.69)
 _LEFT, _TOP, _BOTTOM = 0.09, 0.93, 0.07  # of the page
+_WITHIN = (0.09, 0.06, 0.82, 0.88)  # of the page: figures
 _LINES = 68  # of small text on a page
 _CHARS = 112  # of small text in a line
 
@@ -126,23 +127,27 @@ def _text(paper: Paper) -> Iterator[_Line]:
             yield "bold", f"{claim.claim}: {claim.verdict}"
             whose = "Not of the thesis" if claim.ours else claim.where
             quote = f' "{claim.quote}"' if claim.quote else ""
-            yield from _wrapped(f"[{claim.id}] {whose}.{quote}")
-            yield from _wrapped(f"Computed: {claim.computed}. Criterion: {claim.criterion}.")
-            yield from _wrapped(f"Measured: {measured_text(claim)}. {claim.note}")
+            yield from _wrapped(
+                f"[{claim.id}] {whose}.{quote}",
+                f"Computed: {claim.computed}. Criterion: {claim.criterion}.",
+                f"Measured: {measured_text(claim)}. {claim.note}",
+            )
 
 
-def _wrapped(text: str) -> Iterator[_Line]:
-    yield from (("small", line) for line in textwrap.wrap(text, _CHARS))
+def _wrapped(*paragraphs: str) -> Iterator[_Line]:
+    for text in paragraphs:
+        yield from (("small", line) for line in textwrap.wrap(text, _CHARS))
     yield "small", ""
 
 
 _WIDTHS = {"title": 62, "head": 80, "bold": 96, "small": _CHARS}  # characters of a line
-_HEIGHTS = {"title": 3, "head": 3, "bold": 1, "small": 1}  # lines of small text
+_HEIGHTS = {"title": 2, "head": 3, "bold": 1, "small": 1}  # lines of small text
+_KEPT_WITH = {"head": 5, "bold": 3}  # lines of small text that must follow on the page
 _LOOKS: dict[str, dict[str, Any]] = {
     "title": {"fontsize": 15, "fontweight": "bold"},
     "head": {"fontsize": 12, "fontweight": "bold"},
-    "bold": {"fontsize": 8.5, "fontweight": "bold"},
-    "small": {"fontsize": 8},
+    "bold": {"fontsize": 9, "fontweight": "bold"},
+    "small": {"fontsize": 8.6},
 }
 
 
@@ -152,7 +157,7 @@ def _pages(lines: Iterator[_Line]) -> Iterator[list[_Line]]:
     used = 0
     for kind, text in lines:
         for part in textwrap.wrap(text, _WIDTHS[kind]) or [""]:
-            needed = _HEIGHTS[kind] + (3 if kind in ("head", "bold") else 0)
+            needed = _HEIGHTS[kind] + _KEPT_WITH.get(kind, 0)
             if used + needed > _LINES:
                 yield page
                 page, used = [], 0
@@ -174,6 +179,7 @@ def _text_page(lines: Sequence[_Line]) -> Any:
 def _figure_page(sketches: Sequence[tuple[Example, Sketch]], studies: dict[str, Study]) -> Any:
     with sheets(8.0), one_thread(), np.errstate(all="ignore"):
         page = mpl_figure.Figure(_A4_IN, facecolor="white", layout="constrained")
+        page.get_layout_engine().set(rect=_WITHIN)
         for (example, sketch), part in zip(sketches, page.subfigures(2, 1), strict=False):
             study = studies.setdefault(example.id, Study(example))
             drawing = sketch.compose(study)

@@ -151,7 +151,7 @@ def contact_sheet(pictures: Sequence[tuple[str, Path]], path: Path) -> None:
 
 def level(axes: Axes, value: float, text: str, place: float = 1.0) -> None:
     """A line across with its name above it, at its right end or, with ``place`` 0, its left."""
-    named_level(axes, value, text, left=not place, **THIN)
+    named_level(axes, value, text, left=not place, fontsize=mpl.rcParams["xtick.labelsize"], **THIN)
 
 
 def errors(
@@ -198,7 +198,7 @@ def field_map(
         axes.figure.colorbar(shades, ax=axes, ticks=lines.levels).add_lines(lines)
         axes.grid(False)
         title = f"${name}(x, t)$" + (f", cut at {cut:g}" if cut else "")
-        axes.set_title(title, fontsize=14, fontweight="normal")
+        axes.set_title(title, fontsize=mpl.rcParams["font.size"], fontweight="normal")
 
     labels = {"xlabel": "$t$ (min)", "ylabel": "$x$"}
     return Panel([], labels, more=contours, contradicts=contradicts)
