@@ -58,7 +58,7 @@ FEEDBACK_GAINS = (2.0, 4.0)  # of a PI controller, rad/(m/s), the second per bea
 def _first_input(study: Study) -> Found:
     feedback = cruise.FishTask(4.0, first_input=cruise.feedback_input(*FEEDBACK_GAINS))
     errors = feedback.problem().uncut(_LONG), _beats(4.0, _LONG)
-    needed = [float(np.flatnonzero(one < _REACHED_M_S)[0]) for one in errors]
+    needed = [_reached(one) for one in errors]
     first = [float(one[0]) for one in errors]
     note = """Iterations to 2 mm/s, gain 4, from the input of a PI controller and from zero; then
     max|e| of iteration 0, m/s."""
@@ -108,8 +108,12 @@ def _beats(gain: float, last: int) -> F64:
 
 
 def _first_at(gain: float) -> float:
+    return _reached(_beats(gain, _LONG))
+
+
+def _reached(errors: F64) -> float:
     """The iteration that first reaches 2 mm/s."""
-    below = np.flatnonzero(_beats(gain, _LONG) < _REACHED_M_S)
+    below = np.flatnonzero(errors < _REACHED_M_S)
     return float(below[0]) if len(below) else math.inf
 
 

@@ -17,7 +17,7 @@ from tailbeat.studies.thesis.chapter5 import CASE1_SMOOTH
 from tailbeat.studies.thesis.example import Example, ExampleOptions, Found, Prepared, claim
 from tailbeat.studies.thesis.plants import advection, escaping, heat, rod
 from tailbeat.studies.thesis.plants import feedback as loop
-from tailbeat.studies.thesis.series import LearningProblem, SeriesOutcome, chance, prepared
+from tailbeat.studies.thesis.series import LearningProblem, SeriesOutcome, prepared, uniform
 from tailbeat.studies.thesis.study import Study
 
 SEEDS = range(20)
@@ -29,26 +29,29 @@ _LEARNED, _DECADE = 0.2, 0.1  # of the first error
 TIGHT, WIDE = 1.0, 4.0  # limits of the input
 ESTIMATE_MAX = 5.0
 
-_SHORTEST = 0.5  # part of a trial of a rod
-RODS: dict[str, Callable[[], LearningProblem]] = {
-    "chapter 6": lambda: _cut(heat.problem(heat.heat_plant(heat.CHAPTER6), rod.law())),
-    "chapter 7": lambda: _cut(heat.problem(heat.heat_plant(heat.CHAPTER7), advection.law())),
-}
-
-
-def _cut(whole: LearningProblem) -> LearningProblem:
-    end = float(whole.times[-1])
-    return replace(
-        whole, draw=lambda seed, i: end * (_SHORTEST + (1 - _SHORTEST) * chance(seed, i))
-    )
-
-
-def _prepare_rod(name: str, options: ExampleOptions) -> Prepared:
-    last = ROD_LAST if options.iterations is None else options.iterations
-    return prepared(RODS[name], options, last, usual="uniform")
-
-
 ROD_LAST = 100
+
+
+def rod_chapter6() -> LearningProblem:
+    """The linear rod, trials of half to full length."""
+    return _of_random_length(heat.problem(heat.heat_plant(heat.CHAPTER6), rod.law()))
+
+
+def rod_chapter7() -> LearningProblem:
+    """The reading F = 0 of chapter 7 with its largest delta, trials of half to full length."""
+    return _of_random_length(heat.problem(heat.heat_plant(heat.CHAPTER7), advection.law()))
+
+
+def _of_random_length(whole: LearningProblem) -> LearningProblem:
+    end = float(whole.times[-1])
+    return replace(whole, draw=uniform(0.5 * end, end))
+
+
+def _prepare_rod(problem: Callable[[], LearningProblem], options: ExampleOptions) -> Prepared:
+    _, last = heat.step_and_last(options, ROD_LAST)
+    return prepared(problem, options, last, usual="uniform")
+
+
 LIPSCHITZ, LIMITED, CUT_ROD = EXAMPLES = (
     Example(
         "ch9-lipschitz", "Plant that is locally Lipschitz, trials of random length",
@@ -62,7 +65,7 @@ LIPSCHITZ, LIMITED, CUT_ROD = EXAMPLES = (
     ),
     Example(
         "ch9-rod", "Heated rod of chapter 6, trials of random length", "D-type with Q (6.42)",
-        "chapter 6", _prepare_rod, knows=frozenset({"lengths", "seed", "iterations"}),
+        rod_chapter6, _prepare_rod, knows=frozenset({"lengths", "seed", "iterations"}),
     ),
 )  # fmt: skip
 
@@ -127,30 +130,29 @@ def _winds_up(study: Study) -> Found:
 
 
 @cache
-def cut_rod(name: str) -> SeriesOutcome:
+def cut_rod(problem: Callable[[], LearningProblem]) -> SeriesOutcome:
     """A rod's law over trials of random length."""
-    return RODS[name]().series(SEEDS, ROD_LAST)
+    return problem().series(SEEDS, ROD_LAST)
 
 
 @claim(CUT_ROD, "9-rod-linear")
 def _linear_rod(study: Study) -> Found:
-    found = cut_rod("chapter 6")
-    whole = RODS["chapter 6"]().uncut(ROD_LAST)[-1]
-    worst = [float(np.median(found.executed[:, i])) / whole for i in (10, 30, ROD_LAST)]
+    found = cut_rod(rod_chapter6)
+    whole = rod_chapter6().uncut(ROD_LAST)[-1]
+    medians = [float(np.median(found.executed[:, i])) / whole for i in (10, 30, ROD_LAST)]
     note = f"""Median of {len(SEEDS)} series over {whole:.4f}, the error with full trials, at
     iterations 10, 30 and {ROD_LAST}."""
-    return Found(worst[-1] < 1.05, worst, note)
+    return Found(medians[-1] < 1.05, medians, note)
 
 
 @claim(CUT_ROD, "9-rod-lead")
 def _nonlinear_rod(study: Study) -> Found:
-    found = cut_rod("chapter 7")
+    found = cut_rod(rod_chapter7)
     early = float((found.executed[:, 10] / found.executed[:, 0]).max())
-    grown = [_grown_at(RODS["chapter 7"]().uncut(ROD_LAST)), _grown_at(np.nanmedian(
-        found.max_abs_error, axis=0))]  # fmt: skip
+    series = rod_chapter7().uncut(ROD_LAST), np.nanmedian(found.max_abs_error, axis=0)
     note = """Worst error of iteration 10 over the first; then the iteration from which the error
     is above twice its least, full trials and random lengths (median)."""
-    return Found(early < _DECADE, [early, *grown], note)
+    return Found(early < _DECADE, [early, *map(_grown_at, series)], note)
 
 
 def _grown_at(errors: F64) -> float:

@@ -112,14 +112,20 @@ class ExampleRun:
 @dataclass(frozen=True)
 class Figure:
     """A figure that was drawn: ``path`` with the endings .pdf, .svg, .png and, for the caption,
-    .txt. ``contradicts``: what the text's own numbers say against it; ``comparison``:
-    what was found when it was looked at."""
+    .txt. ``contradicts``: what the text's own numbers say against it; ``comparison``: with the
+    text, as the ledger has it. Both are empty for a figure that is not of the thesis."""
 
     path: Path
     name: str  # of the thesis: "Fig. 2.3"; empty: the thesis has none
     caption: str
     contradicts: str = ""
     comparison: str = ""
+
+    @property
+    def words(self) -> str:
+        """The caption with what was found."""
+        against = f"Against the text's own numbers: {self.contradicts}" if self.contradicts else ""
+        return " ".join(filter(None, (self.caption, against.rstrip(), self.comparison)))
 
 
 @dataclass(frozen=True)
@@ -136,25 +142,20 @@ class Sketch:
         """Of the thesis."""
         return f"Fig. {self.number}" if _NUMBER.fullmatch(self.number) else ""
 
-    @property
-    def comparison(self) -> str:
-        """With the text, as the ledger has it; empty for a figure that is not of the thesis."""
-        found = figure_comparisons().get(self.number)
-        return "" if found is None else found.words
+    def figure(self, drawing: Panel | Panels, path: Path) -> Figure:
+        """What ``drawing``, composed of it, is as a figure."""
+        compared = figure_comparisons().get(self.number)
+        comparison = "" if compared is None else compared.words
+        return Figure(path, self.name, self.caption, drawing.contradicts, comparison)
 
     def draw(self, study: Any, folder: Path) -> Figure:
         """Writes it into ``folder``."""
         drawing, stem = self.compose(study), folder / f"fig-{self.number}"
         draw(stem, drawing)
+        found = self.figure(drawing, with_ending(stem, "pdf"))
         whose = f"{self.name} of the thesis, recomputed" if self.name else "Not of the thesis"
-        words = f"{whose}: {self.caption}"
-        if drawing.contradicts:
-            words += f" Against the text's own numbers: {drawing.contradicts}"
-        words = f"{words} {self.comparison}".rstrip()
-        write_whole(with_ending(stem, "txt"), words + "\n")
-        return Figure(
-            with_ending(stem, "pdf"), self.name, self.caption, drawing.contradicts, self.comparison
-        )
+        write_whole(with_ending(stem, "txt"), f"{whose}: {found.words}\n")
+        return found
 
 
 _NUMBER = re.compile(r"[0-9A]+\.[0-9]+")

@@ -184,10 +184,7 @@ def _figure_page(sketches: Sequence[tuple[Example, Sketch]], studies: dict[str, 
             study = studies.setdefault(example.id, Study(example))
             drawing = sketch.compose(study)
             compose(part, drawing)
-            words = f"{sketch.name}: {sketch.caption}"
-            if drawing.contradicts:
-                words += f" Against the text's own numbers: {drawing.contradicts}"
-            words = f"{words} {sketch.comparison}".rstrip()
+            words = f"{sketch.name}: {sketch.figure(drawing, Path()).words}"
             caption = "\n".join(textwrap.wrap(words, _CHARS))
             part.supxlabel(caption, fontsize=8, color=GREY, parse_math=False)
     return page

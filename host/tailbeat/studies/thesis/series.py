@@ -147,6 +147,11 @@ def chance(seed: int, iteration: int, stream: int = 0) -> float:
     return float(_block(seed, stream, iteration // _BLOCK)[iteration % _BLOCK])
 
 
+def uniform(shortest: float, longest: float) -> Callable[[int, int], float]:
+    """Lengths that are uniformly distributed: (seed, iteration) -> length."""
+    return lambda seed, iteration: shortest + (longest - shortest) * chance(seed, iteration)
+
+
 class _SeriesRunner:
     def __init__(
         self,

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from tailbeat.studies.thesis import chapter3, registry
+from tailbeat.studies.thesis import chapter3, chapter9, registry
 from tailbeat.studies.thesis.example import Example
-from tailbeat.studies.thesis.plants import advection, cruise, heat, linear, rod
+from tailbeat.studies.thesis.plants import advection, cruise, escaping, heat, linear, rod
 from tailbeat.studies.thesis.series import LearningProblem
 from tailbeat.studies.thesis.study import Study
 
@@ -180,6 +180,16 @@ def a_heavy_fish() -> None:
 def the_speed_of_a_beat_before() -> None:
     made = cruise.FishTask.problem
     cruise.FishTask.problem = lambda self: made(replace(self, pairing=0))  # type: ignore[method-assign]
+
+
+@plant(9)
+def nothing_learned_of_theta_of_a_locally_lipschitz_plant() -> None:
+    escaping._LEARNING = 0.0
+
+
+@plant(9)
+def a_limit_that_is_never_reached() -> None:
+    chapter9.TIGHT = 50.0
 
 
 def examples(chapter: int) -> list[Example]:

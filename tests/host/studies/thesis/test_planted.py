@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from itertools import repeat
 from pathlib import Path
 
 import pytest
@@ -37,7 +38,8 @@ def changed(before: Mapping[str, str], after: Mapping[str, str]) -> list[str]:
 @pytest.mark.soak
 def test_planted_results_change_verdicts() -> None:
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        plain = dict(zip(range(2, 9), pool.map(judged, ["none"] * 7, range(2, 9)), strict=True))
+        chapters = range(2, 10)
+        plain = dict(zip(chapters, pool.map(judged, repeat("none"), chapters), strict=True))
         planted = pool.map(lambda one: judged(one, PLANTED[one][0]), PLANTED)
         found = {
             name: changed(plain[PLANTED[name][0]], after)

@@ -9,12 +9,13 @@ from tailbeat.studies.thesis.chapter9 import (
     LIMITED,
     LIPSCHITZ,
     LOW,
-    RODS,
     TIGHT,
     adaptive,
     contraction,
     cut_rod,
     limited,
+    rod_chapter6,
+    rod_chapter7,
 )
 from tailbeat.studies.thesis.example import figure
 from tailbeat.studies.thesis.picture import LINES, Curve, Panel, Panels, errors
@@ -55,7 +56,7 @@ def _rods(study: Study) -> Panels:
     return Panels(
         [
             errors({"full trials": one().uncut(60)},
-                   band=("random lengths, executed part", cut_rod(name).executed[:, :61]))
-            for name, one in RODS.items()
+                   band=("random lengths, executed part", cut_rod(one).executed[:, :61]))
+            for one in (rod_chapter6, rod_chapter7)
         ]
     )  # fmt: skip

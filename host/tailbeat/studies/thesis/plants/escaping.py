@@ -13,13 +13,13 @@ from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.example import ExampleOptions, ExampleRun, Prepared
 from tailbeat.studies.thesis.learner import LearnerConfig
 from tailbeat.studies.thesis.options import last_iteration
-from tailbeat.studies.thesis.series import LearningProblem, chance
+from tailbeat.studies.thesis.series import LearningProblem, uniform
 
 DURATION, SAMPLES = 2.0, 400  # s
 STEP = DURATION / SAMPLES
 STARTS: F64 = STEP * np.arange(SAMPLES, dtype=np.float64)  # of the samples, s
 ITERATIONS = 120
-_SHORTEST = 0.5  # part of a trial; lengths are uniform from it to 1
+LENGTHS = uniform(0.5 * DURATION, DURATION)  # of trials, s
 _FEEDBACK, _LEARNING = 5.0, 0.3  # 1/s; gain of the estimate
 _ESCAPED = 1e3
 
@@ -47,11 +47,6 @@ def theta(time: F64) -> F64:
     return np.asarray(2.0 + np.sin(3.0 * np.pi * time))
 
 
-def draw(seed: int, iteration: int) -> float:
-    """Length of a trial, s."""
-    return DURATION * (_SHORTEST + (1 - _SHORTEST) * chance(seed, iteration))
-
-
 @dataclass(frozen=True)
 class EscapeSeries:
     """Shapes (series, iterations). ``errors``: max|e| over what each trial reached, infinite where
@@ -65,7 +60,7 @@ def adaptive(task: EscapeTask, seeds: Sequence[int], iterations: int) -> EscapeS
     """Input: what is known minus estimate * x^2. The estimate of a sample changes by -gain * x^2 *
     e in a trial that reaches it; else it stays."""
     estimate = np.zeros((len(seeds), SAMPLES))
-    lengths = np.array([[draw(seed, i) for i in range(iterations)] for seed in seeds])
+    lengths = np.array([[LENGTHS(seed, i) for i in range(iterations)] for seed in seeds])
     errors = np.empty_like(lengths)
     wanted, known, unknown = task.reference(STARTS), task.known_push(), theta(STARTS)
     for i in range(iterations):
@@ -95,7 +90,7 @@ def contraction(task: EscapeTask, gain: float) -> LearningProblem:
         return outputs
 
     law = LearnerConfig(SAMPLES, step=STEP, kp=gain)
-    return LearningProblem(ends, task.reference(ends), respond, law, draw)
+    return LearningProblem(ends, task.reference(ends), respond, law, LENGTHS)
 
 
 def prepare(task: EscapeTask, options: ExampleOptions) -> Prepared:

@@ -18,7 +18,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis.example import ExampleOptions, Prepared
 from tailbeat.studies.thesis.learner import UNLIMITED, LearnerConfig
 from tailbeat.studies.thesis.options import M_MAX, Span, last_iteration
-from tailbeat.studies.thesis.series import LearningProblem, chance, prepared
+from tailbeat.studies.thesis.series import LearningProblem, chance, prepared, uniform
 
 Rate = Callable[[F64, F64], F64]
 """(state, input) -> time derivative of the state."""
@@ -156,7 +156,7 @@ def prepare(setting: Moving, options: ExampleOptions) -> Prepared:
 
 
 EXAMPLE1_LENGTHS = NormalDist(2.0, 0.25)
-FISH_EARLIEST_S, FISH_LATEST_S = 44.0, 58.0
+FISH_LENGTHS = uniform(44.0, 58.0)  # s
 _LEAST_CHANCE = 2.0**-60  # of which a normal distribution has a finite value
 
 
@@ -164,16 +164,12 @@ def _normal(seed: int, iteration: int) -> float:
     return max(0.0, EXAMPLE1_LENGTHS.inv_cdf(max(chance(seed, iteration), _LEAST_CHANCE)))
 
 
-def _uniform(seed: int, iteration: int) -> float:
-    return FISH_EARLIEST_S + (FISH_LATEST_S - FISH_EARLIEST_S) * chance(seed, iteration)
-
-
 EXAMPLE1 = Moving(
     example1_rate, "euler", 0.01, 2.0, example1_reference, _normal,
     m=4, beta=1.0 / 5.0, iterations=40, kept=(0, 5, 10, 20),
 )  # fmt: skip
 FISH = Moving(
-    fish_rate, "rk4", 0.05, 50.0, fish_reference, _uniform,
+    fish_rate, "rk4", 0.05, 50.0, fish_reference, FISH_LENGTHS,
     m=2, beta=1.0 / 3.0, kp=1.0, first_input=0.05, iterations=30, kept=(0, 1, 5, 30),
 )  # fmt: skip
 
