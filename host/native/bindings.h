@@ -5,7 +5,7 @@
 #ifndef NATIVE_BINDINGS_H
 #define NATIVE_BINDINGS_H
 
-#include "app/settings.h"
+#include "settings/settings.h"
 #include "base/crc.h"
 #include "base/units.h"
 #include "blink/blink.h"

@@ -152,7 +152,7 @@ def test_a_servo(extended: Path, tmp_path: Path) -> None:
 
 
 RUDDER = """
-#include "app/control.h"
+#include "trial/control.h"
 #include "mock_hal.h"
 #include <stdio.h>
 

@@ -72,7 +72,7 @@ static void assert_no_pulse_from(size_t at) {
 /* The trial is the one that was cut: every beat that is in it was swum to its end and has its
  * speed. The frame that is out may be the last of its beat. */
 static void assert_beats_kept(uint32_t number, bool all_in) {
-    const trial_t *trial = &app.run.trial;
+    const trial_record_t *trial = &app.run.trial;
     TEST_ASSERT_EQUAL_UINT32(number, trial->number);
     TEST_ASSERT_EQUAL(FAULT_ABORT_COMMAND, trial->end);
     TEST_ASSERT_TRUE(trial->executed <= frames / FRAMES_PER_BEAT);

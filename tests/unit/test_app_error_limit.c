@@ -80,7 +80,7 @@ static void test_the_tail_stops_once_the_beat_is_known(void) {
     TEST_ASSERT_EQUAL(7, app.executed);
     run_at(SPEED + 0.03f, 5000);
     TEST_ASSERT_EQUAL_UINT16(0, hal.pulses[hal.pulse_count - 1u]);
-    const trial_t *trial = &app.run.trial;
+    const trial_record_t *trial = &app.run.trial;
     TEST_ASSERT_TRUE(app.run.pending);
     TEST_ASSERT_EQUAL(FAULT_ERROR_LIMIT, trial->end);
     TEST_ASSERT_EQUAL(7, trial->executed);
@@ -160,7 +160,7 @@ static void test_the_trial_survives_a_restart_and_teaches(void) {
     set(PARAM_ILC_LEAD, 0.0f);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
     swim();
-    const trial_t trial = app.run.trial;
+    const trial_record_t trial = app.run.trial;
     const memory_t before = app.memory;
     TEST_ASSERT_EQUAL(FAULT_ERROR_LIMIT, trial.end);
     TEST_ASSERT_EQUAL(3, trial.executed);
@@ -177,7 +177,7 @@ static void test_the_trial_survives_a_restart_and_teaches(void) {
 }
 
 /* The first beat that was too far off. */
-static uint16_t guilty(const trial_t *trial) {
+static uint16_t guilty(const trial_record_t *trial) {
     uint16_t k = 0;
     while (k < trial->executed &&
            !(fabsf(app.reference.speed_m_s[k] - trial->speed_m_s[k]) > LIMIT)) {

@@ -97,7 +97,7 @@ static void test_an_average_keeps_all_beats(void) {
     static past_t past;
     char path[] = PAST_PATH;
     swim_long_trial();
-    const trial_t trial = app.run.trial;
+    const trial_record_t trial = app.run.trial;
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, trial.number));
     path[5] = (char)('0' + (app.memory.iteration - 1u) % PAST_FILES);
     const size_t length = boot_load_record(&app, path);

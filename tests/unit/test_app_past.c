@@ -1,6 +1,6 @@
 /* Laws that average: the board against the learner that keeps its trials in RAM, bit for bit; what
  * ends an average; and laws that are refused. */
-#include "app/settings.h"
+#include "settings/settings.h"
 #include "ilc/learner.h"
 #include "past_fixture.h"
 
@@ -11,8 +11,8 @@
 #define SPEED 0.05f
 #define CUT_EVERY 3u /* trials, one of which is aborted */
 
-static learner_t learner;
-static float learner_memory[BEATS * 3u * (LEARNER_WINDOW_MAX + 1u)];
+static buffer_learner_t learner;
+static float buffer_learner_memory[BEATS * 3u * (LEARNER_WINDOW_MAX + 1u)];
 static uint32_t random_state;
 
 static float random_0_1(void) {
@@ -85,7 +85,7 @@ static void swim_and_learn(uint32_t number) {
 }
 
 static void begin_learner(past_kind_t past, uint16_t window) {
-    learner_config_t config = {
+    buffer_learner_config_t config = {
         .law = settings_law(&app.params, 1.0f),
         .samples = BEATS,
         .past = past,
@@ -101,7 +101,7 @@ static void begin_learner(past_kind_t past, uint16_t window) {
         first[k] = config.law.kp_rad_s_m * SPEED;
     }
     TEST_ASSERT_EQUAL(
-        LAW_OK, learner_init(&learner, &config, first, learner_memory, sizeof learner_memory));
+        LAW_OK, buffer_learner_init(&learner, &config, first, buffer_learner_memory, sizeof buffer_learner_memory));
 }
 
 static void expect_same_as_learner(void) {
@@ -127,10 +127,10 @@ static void check_against_learner(past_kind_t past, uint16_t window) {
         }
         learn();
         for (uint16_t k = 0; k < BEATS; k++) {
-            (void)learner_measure(&learner, k, SPEED - speed_m_s[k]);
+            (void)buffer_learner_measure(&learner, k, SPEED - speed_m_s[k]);
         }
         law_report_t report;
-        TEST_ASSERT_EQUAL(LAW_OK, learner_end(&learner, beats, &report));
+        TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_end(&learner, beats, &report));
         expect_same_as_learner();
         if (number % 5u == 0) {
             reboot();
@@ -295,10 +295,10 @@ static void test_a_hole_ends_the_window(void) {
         swim_any(number, speed_m_s, &beats);
         learn();
         for (uint16_t k = 0; k < BEATS; k++) {
-            (void)learner_measure(&learner, k, SPEED - speed_m_s[k]);
+            (void)buffer_learner_measure(&learner, k, SPEED - speed_m_s[k]);
         }
         law_report_t report;
-        TEST_ASSERT_EQUAL(LAW_OK, learner_end(&learner, beats, &report));
+        TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_end(&learner, beats, &report));
         expect_same_as_learner();
     }
 }

@@ -32,7 +32,7 @@ static void cut_trial(void) {
 }
 
 static void assert_measured(uint16_t measured, float speed_m_s) {
-    const trial_t *trial = &app.run.trial;
+    const trial_record_t *trial = &app.run.trial;
     TEST_ASSERT_TRUE(app.run.pending);
     TEST_ASSERT_EQUAL(FAULT_WALL, trial->end);
     TEST_ASSERT_EQUAL(SWUM, trial->executed);

@@ -254,7 +254,7 @@ static void test_numbers_go_on_when_only_the_trials_tell_them(void) {
 /* Records longer than a block, among older ones that share some of their blocks' numbers. */
 static void test_long_records_come_back(void) {
     static memory_t memory;
-    static trial_t trial;
+    static trial_record_t trial;
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_TANK_LEN_M, 0.0f));
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS_MAX, SPEED));
     for (uint32_t n = 1; n <= 40; n++) {
@@ -262,7 +262,7 @@ static void test_long_records_come_back(void) {
                             .beats = BEATS_MAX,
                             .last_trial = n,
                             .iteration = (uint16_t)(n + 1u)};
-        trial = (trial_t){.number = n + 1u,
+        trial = (trial_record_t){.number = n + 1u,
                           .reference_crc = app.reference.crc,
                           .beats = BEATS_MAX,
                           .executed = BEATS_MAX};

@@ -140,7 +140,7 @@ static uint32_t old_logs;
 static void make_old_store(uint32_t logs) {
     static reference_t reference = {.beats = BEATS, .beat_s = 1.0f};
     static memory_t memory = {.beats = BEATS, .iteration = 3, .last_trial = 7};
-    static trial_t trial = {.number = 8, .iteration = 3, .beats = BEATS, .executed = BEATS};
+    static trial_record_t trial = {.number = 8, .iteration = 3, .beats = BEATS, .executed = BEATS};
     static uint8_t content[LOG_BYTES];
     params_t params;
     const key_record_t key = {.set = true, .key = {5, 6, 7}, .mark = 1000};
