@@ -4,9 +4,7 @@
 
 #include <string.h>
 
-#define CRASH_PATH "/crash.bin"
-#define PAST_PATH "/past0.bin" /* to "/past7.bin" */
-#define PAST_NUMBER_AT 5u
+#define PAST_NUMBER_AT 5u /* in the path */
 
 void vault_init(vault_t *vault, vault_alive_t alive, void *context) {
     vault->alive = alive;

@@ -16,7 +16,10 @@
 #include "store/store.h"
 #include "store/workspace.h"
 
-#define VAULT_PAST_PLACES 8u /* files of past trials */
+#define CRASH_PATH "/crash.bin"
+
+#define PAST_PATH "/past0.bin" /* to "/past7.bin" */
+#define VAULT_PAST_PLACES 8u
 /* Of the longest past trial, which is written anew beside the one it replaces. */
 #define VAULT_PAST_ROOM_BYTES (3u * STORE_BLOCK_BYTES)
 

@@ -14,9 +14,9 @@ typedef struct {
     hal_port_t port;
     uint8_t system;
     uint64_t last_heartbeat_us;
-} host_t;
+} trial_host_t;
 
-static inline bool host_is(const host_t *host, hal_port_t port, uint8_t system) {
+static inline bool host_is(const trial_host_t *host, hal_port_t port, uint8_t system) {
     return port == host->port && system == host->system;
 }
 

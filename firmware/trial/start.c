@@ -75,7 +75,7 @@ fault_t start_arm(trial_t *trial, const link_command_t *command) {
         link_text(trial->with.link, MAV_SEVERITY_NOTICE, "another host has taken the fish over");
     }
     const uint64_t now_us = hal_time_us(trial->with.hal);
-    trial->host = (host_t){command->port, command->system, now_us};
+    trial->host = (trial_host_t){command->port, command->system, now_us};
     trial->blink_until_us = now_us + real_whole_u64(command->blink_s * 1e6f);
     return FAULT_NONE;
 }

@@ -37,7 +37,7 @@ typedef struct {
 typedef struct {
     trial_parts_t with;
     uint32_t next; /* number of the next trial */
-    host_t host;
+    trial_host_t host;
     uint64_t blink_until_us; /* the LED, while armed */
     battery_t battery;
     preparation_t preparation;

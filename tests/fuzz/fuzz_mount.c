@@ -56,18 +56,18 @@ static void make_bases(void) {
     MUST(board_command(LINK_COMMAND_LEARN, 1) == FAULT_NONE);
     MUST(board_command(LINK_COMMAND_PARAMS_SAVE, 0) == FAULT_NONE);
     static const uint8_t upload[3000] = {1, 2, 3};
-    MUST(store_replace(&app.store, "/in/speeds.bin", upload, sizeof upload) == STORE_OK);
+    MUST(store_replace(&app.vault.store, "/in/speeds.bin", upload, sizeof upload) == STORE_OK);
     keep(base[2]);
     for (uint32_t i = 0; i < 40; i++) {
         char path[STORE_PATH_BYTES];
         reads = 0;
         trial_log_path(100u + i, path);
-        MUST(store_replace(&app.store, path, upload, 10u * i) == STORE_OK);
+        MUST(store_replace(&app.vault.store, path, upload, 10u * i) == STORE_OK);
     }
     keep(base[3]);
     hal.flash_fail_after = hal.flash_writes + 7u;
-    (void)store_replace(&app.store, "/learned.bin", upload, 1500);
-    (void)store_remove(&app.store, "/trials/0105.ulg");
+    (void)store_replace(&app.vault.store, "/learned.bin", upload, 1500);
+    (void)store_remove(&app.vault.store, "/trials/0105.ulg");
     hal.flash_fail_after = 0;
     keep(base[4]);
 }
@@ -163,14 +163,14 @@ static bool visit(void *context, const store_entry_t *entry) {
 static void read_all(const char *folder) {
     walk_t walk = {.seen = 0};
     reads = 0;
-    (void)store_walk(&app.store, folder[0] == 0 ? "/" : folder, 0, visit, &walk);
+    (void)store_walk(&app.vault.store, folder[0] == 0 ? "/" : folder, 0, visit, &walk);
     for (uint32_t i = 0; i < walk.kept; i++) {
         char path[2u * STORE_PATH_BYTES];
         uint32_t size = 0, crc = 0;
         (void)snprintf(path, sizeof path, "%s/%s", folder, walk.name[i]);
         reads = 0;
-        (void)store_size(&app.store, path, &size);
-        (void)store_crc32(&app.store, path, &crc);
+        (void)store_size(&app.vault.store, path, &size);
+        (void)store_crc32(&app.vault.store, path, &crc);
     }
 }
 
@@ -180,9 +180,9 @@ static void ask_for_everything(void) {
         read_all(folders[i]);
     }
     reads = 0;
-    (void)store_free_bytes(&app.store);
+    (void)store_free_bytes(&app.vault.store);
     reads = 0;
-    (void)store_newest_trial(&app.store);
+    (void)store_newest_trial(&app.vault.store);
 }
 
 static void change_everything(void) {
@@ -192,12 +192,12 @@ static void change_everything(void) {
     (void)board_command(LINK_COMMAND_CLEAR, 0);
     (void)board_command(LINK_COMMAND_PARAMS_SAVE, 0);
     reads = 0;
-    (void)store_replace(&app.store, "/in/learned.bin", content, sizeof content);
+    (void)store_replace(&app.vault.store, "/in/learned.bin", content, sizeof content);
     reads = 0;
-    (void)store_make_space_step(&app.store, 20000, 0, &done);
+    (void)store_make_space_step(&app.vault.store, 20000, 0, &done);
     reads = 0;
-    if (app.run.pending) {
-        (void)board_command(LINK_COMMAND_LEARN, app.run.trial.number);
+    if (app.trial.run.pending) {
+        (void)board_command(LINK_COMMAND_LEARN, app.trial.run.trial.number);
     }
     reads = 0;
     (void)board_command(LINK_COMMAND_ARM, 0);

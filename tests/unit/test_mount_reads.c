@@ -39,7 +39,7 @@ static void make_base(void) {
     for (uint32_t i = 0; i < 40u; i++) {
         char path[STORE_PATH_BYTES];
         trial_log_path(100u + i, path);
-        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, path, content, 10u * i));
+        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, path, content, 10u * i));
     }
     memcpy(base, hal.flash, sizeof base);
 }
@@ -87,7 +87,7 @@ static void test_reading_for_ever_is_not_fed_for_ever(void) {
     for (uint32_t quiet = 0, i = 0; quiet < 1000u; i++) {
         TEST_ASSERT_LESS_THAN_UINT32(1000000u, i);
         last = hal.watchdog_feeds;
-        (void)store_size(&app.store, "/trials", &length);
+        (void)store_size(&app.vault.store, "/trials", &length);
         quiet = hal.watchdog_feeds == last ? quiet + 1u : 0;
     }
     TEST_ASSERT_LESS_THAN_UINT32(2000u, last);

@@ -77,17 +77,17 @@ static void boot(void) {
 }
 
 static void execute(void) {
-    const uint32_t trial = app.next_trial;
+    const uint32_t trial = app.trial.next;
     swim_speed_m_s = 0.03f + 0.001f * (float)random_below(20);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
     run_ticks_ms(200);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, trial));
-    run_ticks_ms(app.reference.beats * 1000u + 5000u);
-    TEST_ASSERT_TRUE(app.run.pending);
+    run_ticks_ms(app.learner.reference.beats * 1000u + 5000u);
+    TEST_ASSERT_TRUE(app.trial.run.pending);
 }
 
 static void learn(void) {
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.run.trial.number));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.trial.run.trial.number));
 }
 
 static void save_limit(float limit_rad) {
@@ -97,7 +97,7 @@ static void save_limit(float limit_rad) {
 
 static void set_key(uint8_t first) {
     const uint8_t key[SIGNING_KEY_BYTES] = {first, 2, 3};
-    TEST_ASSERT_EQUAL(FAULT_NONE, key_set(&app, key, 1000u + app.link.signing.mark));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_set_key(&app, key, 1000u + app.link.signing.mark));
 }
 
 static void begin_life(scenario_t scenario) {
@@ -158,10 +158,10 @@ static knowledge_t known(void) {
         memcpy(knowledge.key, app.link.signing.out.secret_key, SIGNING_KEY_BYTES);
     }
     knowledge.params = app.params;
-    knowledge.memory = app.memory;
-    knowledge.reference_crc = app.reference.crc;
-    knowledge.pending = app.run.pending ? app.run.trial.number : 0;
-    knowledge.next_trial = app.next_trial;
+    knowledge.memory = app.learner.memory;
+    knowledge.reference_crc = app.learner.reference.crc;
+    knowledge.pending = app.trial.run.pending ? app.trial.run.trial.number : 0;
+    knowledge.next_trial = app.trial.next;
     return knowledge;
 }
 
