@@ -3,8 +3,8 @@
 #include "app/boot.h"
 #include "app/damage.h"
 #include "app/status.h"
+#include "app/uploads.h"
 #include "hal/clock.h"
-#include "learn/uploads.h"
 #include "settings/settings.h"
 #include "store/critical.h"
 #include "trial/start.h"
@@ -118,33 +118,6 @@ static fault_t restore_best(app_t *app) {
     return app->trial.run.pending ? FAULT_TRIAL_PENDING : learner_restore_best(&app->learner);
 }
 
-/* All that was learned, from a backup: the next trial goes on where the last of it left off. */
-static fault_t commit_learned(app_t *app, const vault_stamp_t *stamp) {
-    const fault_t fault = uploads_learned(&app->learner, stamp);
-    if (fault == FAULT_NONE) {
-        trial_count_from(&app->trial, app->learner.memory.last_trial);
-    }
-    return fault;
-}
-
-static fault_t commit(app_t *app, const link_command_t *command) {
-    const vault_stamp_t stamp = {command->length_bytes, command->crc};
-    if (command->file != LINK_FILE_SPEEDS && app->trial.run.pending) {
-        return FAULT_TRIAL_PENDING;
-    }
-    switch (command->file) {
-    case LINK_FILE_REFERENCE:
-        return uploads_reference(&app->learner, &stamp);
-    case LINK_FILE_AMPLITUDES:
-        return uploads_amplitudes(&app->learner, &stamp);
-    case LINK_FILE_LEARNED:
-        return commit_learned(app, &stamp);
-    case LINK_FILE_SPEEDS:
-        return trial_upload_speeds(&app->trial, &stamp);
-    }
-    return FAULT_BAD_FILE;
-}
-
 /* What changes the board and is possible in IDLE only. */
 static fault_t run_in_idle(app_t *app, const link_command_t *command) {
     if (app->supervisor.state != STATE_IDLE) {
@@ -156,7 +129,7 @@ static fault_t run_in_idle(app_t *app, const link_command_t *command) {
     case LINK_COMMAND_RESTORE_BEST:
         return restore_best(app);
     case LINK_COMMAND_COMMIT:
-        return commit(app, command);
+        return uploads_commit(app, command);
     case LINK_COMMAND_IMU_SAVE:
     case LINK_COMMAND_IMU_ROW:
         return sensor_command(&app->sensor, command);

@@ -2,6 +2,7 @@
 
 #include "base/real.h"
 #include "learn/past_trials.h"
+#include "learn/reference.h"
 #include "settings/settings.h"
 
 #include <string.h>
@@ -41,8 +42,9 @@ fault_t learner_save(learner_t *learner) {
 }
 
 fault_t learner_set_reference(learner_t *learner, const reference_t *next) {
-    if (next->crc == learner->reference.crc) {
-        return FAULT_NONE;
+    const fault_t refused = reference_judge(learner->params, next);
+    if (refused != FAULT_NONE || next->crc == learner->reference.crc) {
+        return refused;
     }
     if (vault_save_reference(learner->vault, next) != STORE_OK) {
         return FAULT_WRITE_FAILED;

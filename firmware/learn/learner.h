@@ -38,7 +38,7 @@ void learner_load(learner_t *learner);
 /* FAULT_WRITE_FAILED, and what is stored in RAM again. */
 fault_t learner_save(learner_t *learner);
 
-/* From an upload. Another reference than now begins a memory of its own. */
+/* Refused as reference_judge() says. Another reference than now begins a memory of its own. */
 fault_t learner_set_reference(learner_t *learner, const reference_t *next);
 /* FAULT_WRONG_BEATS when they belong to another reference. */
 fault_t learner_set_amplitudes(learner_t *learner, const amplitudes_upload_t *next);

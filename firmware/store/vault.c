@@ -165,41 +165,35 @@ static const char *upload_path(vault_upload_t upload) {
 }
 
 /* The uploaded bytes into vault->record, if they are the ones the host means. */
-static fault_t take(vault_t *vault, vault_upload_t upload, const vault_stamp_t *stamp) {
+static bool take(vault_t *vault, vault_upload_t upload, const vault_stamp_t *stamp) {
     const char *path = upload_path(upload);
     uint32_t length = 0, crc = 0;
-    if (store_size(&vault->store, path, &length) != STORE_OK || length != stamp->length_bytes ||
-        length > sizeof vault->record || store_crc32(&vault->store, path, &crc) != STORE_OK ||
-        crc != stamp->crc ||
-        store_load(&vault->store, path, vault->record, length) != STORE_OK) {
+    return store_size(&vault->store, path, &length) == STORE_OK && length == stamp->length_bytes &&
+           length <= sizeof vault->record && store_crc32(&vault->store, path, &crc) == STORE_OK &&
+           crc == stamp->crc &&
+           store_load(&vault->store, path, vault->record, length) == STORE_OK;
+}
+
+fault_t vault_take_upload(vault_t *vault, vault_upload_t upload, const vault_stamp_t *stamp,
+                          workspace_content_t *out) {
+    const uint8_t *record = vault->record;
+    const size_t length = stamp->length_bytes;
+    if (!take(vault, upload, stamp)) {
         return FAULT_BAD_FILE;
     }
-    return FAULT_NONE;
-}
-
-fault_t vault_take_reference(vault_t *vault, const vault_stamp_t *stamp, reference_t *out) {
-    const fault_t fault = take(vault, VAULT_UPLOAD_REFERENCE, stamp);
-    return fault != FAULT_NONE ? fault
-                               : record_decode_reference(vault->record, stamp->length_bytes, out);
-}
-
-fault_t vault_take_amplitudes(vault_t *vault, const vault_stamp_t *stamp,
-                              amplitudes_upload_t *out) {
-    const fault_t fault = take(vault, VAULT_UPLOAD_AMPLITUDES, stamp);
-    return fault != FAULT_NONE ? fault
-                               : record_decode_amplitudes(vault->record, stamp->length_bytes, out);
-}
-
-fault_t vault_take_speeds(vault_t *vault, const vault_stamp_t *stamp, speed_upload_t *out) {
-    const fault_t fault = take(vault, VAULT_UPLOAD_SPEEDS, stamp);
-    return fault != FAULT_NONE ? fault
-                               : record_decode_speeds(vault->record, stamp->length_bytes, out);
-}
-
-fault_t vault_take_learned(vault_t *vault, const vault_stamp_t *stamp, memory_t *out) {
-    const fault_t fault = take(vault, VAULT_UPLOAD_LEARNED, stamp);
-    return fault != FAULT_NONE ? fault
-                               : record_decode_memory(vault->record, stamp->length_bytes, out);
+    switch (upload) {
+    case VAULT_UPLOAD_REFERENCE:
+        return record_decode_reference(record, length, &out->reference);
+    case VAULT_UPLOAD_AMPLITUDES:
+        return record_decode_amplitudes(record, length, &out->amplitudes);
+    case VAULT_UPLOAD_SPEEDS:
+        return record_decode_speeds(record, length, &out->speeds);
+    case VAULT_UPLOAD_LEARNED:
+        return record_decode_memory(record, length, &out->memory);
+    case VAULT_UPLOAD_COUNT:
+        break;
+    }
+    return FAULT_BAD_FILE;
 }
 
 void vault_drop_upload(vault_t *vault, vault_upload_t upload) {

@@ -90,11 +90,10 @@ typedef struct {
     uint32_t crc;
 } vault_stamp_t;
 
-/* FAULT_BAD_FILE when the file is not what |stamp| says, else as the decoder (records.h). */
-fault_t vault_take_reference(vault_t *vault, const vault_stamp_t *stamp, reference_t *out);
-fault_t vault_take_amplitudes(vault_t *vault, const vault_stamp_t *stamp, amplitudes_upload_t *out);
-fault_t vault_take_speeds(vault_t *vault, const vault_stamp_t *stamp, speed_upload_t *out);
-fault_t vault_take_learned(vault_t *vault, const vault_stamp_t *stamp, memory_t *out);
+/* FAULT_BAD_FILE when the file is not what |stamp| says, else as the decoder (records.h). |out| is
+ * what the workspace's user has taken: the file's type in it. */
+fault_t vault_take_upload(vault_t *vault, vault_upload_t upload, const vault_stamp_t *stamp,
+                          workspace_content_t *out);
 
 /* Once it has become what it was meant to be. */
 void vault_drop_upload(vault_t *vault, vault_upload_t upload);

@@ -59,10 +59,6 @@ bool trial_is_open(const trial_t *trial) {
     return trial->run.open || state == STATE_RUNNING || state == STATE_SETTLING;
 }
 
-static uint16_t guard_beats(const trial_t *trial) {
-    return (uint16_t)params_whole(trial->with.params, PARAM_GUARD_BEATS);
-}
-
 static fault_t judge_speeds(const trial_t *trial, const speed_upload_t *speeds) {
     if (!trial->run.pending || speeds->trial != trial->run.trial.number) {
         return FAULT_NO_TRIAL;
@@ -78,22 +74,16 @@ static fault_t judge_speeds(const trial_t *trial, const speed_upload_t *speeds) 
     return FAULT_NONE;
 }
 
-fault_t trial_upload_speeds(trial_t *trial, const vault_stamp_t *stamp) {
-    vault_t *vault = vault_of(trial);
-    speed_upload_t *speeds = &workspace_take(&vault->workspace, WORKSPACE_UPLOAD)->speeds;
-    fault_t fault = vault_take_speeds(vault, stamp, speeds);
-    if (fault == FAULT_NONE) {
-        fault = judge_speeds(trial, speeds);
+fault_t trial_set_speeds(trial_t *trial, const speed_upload_t *speeds) {
+    const uint16_t guard_beats = (uint16_t)params_whole(trial->with.params, PARAM_GUARD_BEATS);
+    const fault_t refused = judge_speeds(trial, speeds);
+    if (refused != FAULT_NONE) {
+        return refused;
     }
-    if (fault == FAULT_NONE && trial_run_upload(&trial->run, vault, speeds, guard_beats(trial),
-                                                hal_time_us(trial->with.hal)) != STORE_OK) {
-        fault = FAULT_WRITE_FAILED;
-    }
-    workspace_give_back(&vault->workspace, WORKSPACE_UPLOAD);
-    if (fault == FAULT_NONE) {
-        vault_drop_upload(vault, VAULT_UPLOAD_SPEEDS);
-    }
-    return fault;
+    return trial_run_upload(&trial->run, vault_of(trial), speeds, guard_beats,
+                            hal_time_us(trial->with.hal)) == STORE_OK
+               ? FAULT_NONE
+               : FAULT_WRITE_FAILED;
 }
 
 fault_t trial_discard(trial_t *trial, uint32_t number) {

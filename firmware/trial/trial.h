@@ -67,8 +67,9 @@ float trial_still_s(const trial_t *trial);
 /* Whether a trial swims, settles, or has not been stored yet. */
 bool trial_is_open(const trial_t *trial);
 
-/* Commands of the link on the pending trial; FAULT_NONE = accepted. */
-fault_t trial_upload_speeds(trial_t *trial, const vault_stamp_t *stamp);
+/* On the pending trial; FAULT_NONE = accepted. Speeds measured after the swim, and that it is not to
+ * be learned from. */
+fault_t trial_set_speeds(trial_t *trial, const speed_upload_t *speeds);
 fault_t trial_discard(trial_t *trial, uint32_t number);
 
 /* A stop rule or an abort. What stopped the tail came first, though nobody had seen it yet. */
