@@ -11,13 +11,13 @@ bool settle_needs_rest(const params_t *params) {
 
 float settle_trial_s(const params_t *params, const reference_t *reference) {
     const float swim_s = (float)reference->beats * reference->beat_s;
-    const float settle_s =
-        params->value[PARAM_SETTLE_S] + (settle_needs_rest(params) ? REST_WAIT_S : 0.0f);
-    return swim_s + settle_s;
+    const float rest_s = settle_needs_rest(params) ? REST_WAIT_S : 0.0f;
+    return swim_s + params->value[PARAM_SETTLE_S] + rest_s;
 }
 
 uint64_t settle_until_us(const params_t *params, uint64_t now_us) {
-    return now_us + real_whole_u64(params->value[PARAM_SETTLE_S] * 1e6f);
+    float settle_s = params->value[PARAM_SETTLE_S];
+    return now_us + real_whole_u64(settle_s * 1e6f);
 }
 
 estimate_rest_t settle_rest_after(const params_t *params, const trial_run_t *run, uint16_t executed,
