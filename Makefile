@@ -11,9 +11,9 @@ PIP_INSTALL := $(PYTHON) -m pip install --disable-pip-version-check --no-build-i
 	--force-reinstall
 NEWLIB_LICENSE := /usr/share/doc/libnewlib-arm-none-eabi/copyright
 CONFIGURE := $(STEP) configuring cmake -S . -G Ninja -DPython_EXECUTABLE=$(PYTHON) --log-level=WARNING
-PACKAGE_SOURCES := $(shell find host firmware/ hal wire tools/vboard CMakeLists.txt cmake -not -name __pycache__ \
+PACKAGE_SOURCES := $(shell find host firmware/ hal sim wire tools/vboard CMakeLists.txt cmake -not -name __pycache__ \
 	-not -name '*.pyc' -not -path '*/.*_cache*')
-C_SOURCES = $(shell find firmware hal bench tests/unit tests/fuzz tests/image host/native tools/vboard/native \
+C_SOURCES = $(shell find firmware hal sim bench tests/unit tests/fuzz tests/image host/native tools/vboard/native \
 	-name '*.[ch]' 2>/dev/null)
 PYTHON_SOURCES := $(wildcard docs/*.py docs/diagrams/*.py) host tests tools wire $(wildcard bench examples)
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 PROGRAM = Path("build/bench/tailbeat_bench")
-FIRMWARE = "run_firmware_*"  # of hal/sim/sim.c
+FIRMWARE = "run_firmware_*"  # of sim/sim.c
 COLLECTED = re.compile(r"Collected : (\d+)")
 SIMULATED = re.compile(r"\(([\d.]+) s in")
 GOAL = 1.0e6

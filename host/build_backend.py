@@ -40,7 +40,7 @@ SOURCE = "source"
 CARRIED = "carried"
 NEEDED = (
     "CMakeLists.txt", "cmake", "examples", "firmware", "hal", "host/native", "host/pyproject.toml",
-    "tests/fuzz/lfs_image.h", "tests/unit", "tools/fetch_deps.py", "wire",
+    "sim", "tests/fuzz/lfs_image.h", "tests/unit", "tools/fetch_deps.py", "wire",
 )  # fmt: skip
 GENERATORS = ["cffi>=2.0", "pymavlink==2.4.50", "pip"]
 

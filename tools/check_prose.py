@@ -21,7 +21,7 @@ from typing import Any
 from prose_texts import MASK, Text, page_files, texts
 
 TABLE = Path(__file__).resolve().parent / "prose_words.toml"
-SPELLED = ("host/tailbeat", "firmware", "hal", "wire", "tools")
+SPELLED = ("host/tailbeat", "firmware", "hal", "sim", "wire", "tools")
 SENTENCE_END = re.compile(r"(?<=[.?!])[)\"]*\s+|\n+|[,:;]\s+(?=\d+ = )")
 
 

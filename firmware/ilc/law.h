@@ -10,7 +10,7 @@
  *
  * law_update() does all of it for a law that looks at the last trial only. Laws that look at more,
  * the averages of chapters 2 and 3, add up weighted trials with law_add() and end with
- * law_finish(); learner.h keeps the trials for them.
+ * law_finish(); host/native/thesis/learner.h keeps the trials for them.
  *
  * A beat without a speed counts as e = 0; so does the rest of an aborted trial.
  * de[k] = (e[k+1] - e[k]) / beat_s, and 0 where one of the two has no speed: what is not known did

@@ -9,13 +9,9 @@
 #ifndef ILC_NUMBER_H
 #define ILC_NUMBER_H
 
-#include <stdbool.h>
+#include "ilc/number_type.h"
 
-#ifdef ILC_DOUBLE
-typedef double number_t;
-#else
-typedef float number_t;
-#endif
+#include <stdbool.h>
 
 /* A constant; in float no double is left of it. */
 #define NUMBER(x) ((number_t)(x))

@@ -6,7 +6,9 @@
 #ifndef ILC_NUMBER_ORDER_H
 #define ILC_NUMBER_ORDER_H
 
-#include "ilc/number.h"
+#include "ilc/number_type.h"
+
+#include <stdbool.h>
 
 #ifdef ILC_DOUBLE
 #include <math.h>

@@ -1,7 +1,7 @@
 /*
  * What the averaging laws of chapters 2 and 3 make of earlier trials: how much each one weighs, and
- * the running means. One place for learner.h, which keeps its trials in RAM, and for the board,
- * which keeps them in its store.
+ * the running means. One place for host/native/thesis/learner.h, which keeps its trials in RAM, and
+ * for the board, which keeps them in its store.
  *
  * The order in which trials are added (law_add) is part of the contract: earlier ones first, the
  * newest of them before the others, and the one that has just ended last.

@@ -8,7 +8,11 @@
 #ifndef IMU_LINE_H
 #define IMU_LINE_H
 
-#include "imu/reader.h"
+#include "imu/message.h"
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
 
 #define IMU_LINE_TYPE_CHARS 5u /* VNYMR, VNRRG, VNERR, ... */
 

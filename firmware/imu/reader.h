@@ -19,21 +19,13 @@
 #define IMU_READER_H
 
 #include "imu/layout.h"
+#include "imu/message.h"
 
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
 #define IMU_LINE_MAX_BYTES 256u /* '$' to LF */
-
-typedef enum { IMU_BINARY, IMU_LINE } imu_kind_t;
-
-/* Points into the reader: valid until the next call with that reader. */
-typedef struct {
-    imu_kind_t kind;
-    uint16_t length; /* sync to CRC; '$' to LF */
-    const uint8_t *bytes;
-} imu_message_t;
 
 /* Monotonic. */
 typedef struct {

@@ -49,7 +49,7 @@ bool settings_law_fits(const params_t *params, const law_t *law, uint16_t beats)
     return law_check(law, beats) == LAW_OK && past_fits(settings_past_kind(params), law);
 }
 
-/* These laws correct while the plant moves (ilc/feedback.h). */
+/* These laws correct while the plant moves (host/native/thesis/feedback.h). */
 fault_t settings_refusal(param_t param, float value) {
     if (param != PARAM_ILC_KIND) {
         return FAULT_NONE;

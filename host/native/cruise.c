@@ -1,7 +1,7 @@
 #include "cruise.h"
 
-#include "drag_step.h"
-#include "plant.h"
+#include "water/drag_step.h"
+#include "water/plant.h"
 
 void cruise_thrust(const sim_config_t *config, const double *amplitude_rad, size_t samples,
                    double *h1_n, double *h2_kg_m) {

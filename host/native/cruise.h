@@ -6,7 +6,7 @@
 #ifndef CRUISE_H
 #define CRUISE_H
 
-#include "sim_config.h"
+#include "common/sim_config.h"
 
 #include <stddef.h>
 

@@ -27,7 +27,7 @@ def test_the_source_distribution_carries_the_c_sources(tmp_path: Path) -> None:
     root = HOST.parent
     c_files = [
         path.relative_to(root)
-        for folder in ("firmware", "hal", "host/native", "wire", "cmake")
+        for folder in ("firmware", "hal", "sim", "host/native", "wire", "cmake")
         for path in (root / folder).rglob("*")
         if path.suffix in (".c", ".h", ".def", ".cmake", ".xml") or path.name == "CMakeLists.txt"
     ]

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-SOURCES = ("CMakeLists.txt", "cmake", "firmware", "hal", "host", "tools", "wire")
+SOURCES = ("CMakeLists.txt", "cmake", "firmware", "hal", "host", "sim", "tools", "wire")
 FETCHED = ("deps", "generated")
 IMAGE = ROOT / "build" / "firmware"
 # The copy, which is in no repository, gets the same build id.

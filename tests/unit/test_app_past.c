@@ -1,8 +1,8 @@
 /* Laws that average: the board against the learner that keeps its trials in RAM, bit for bit; what
  * ends an average; and laws that are refused. */
-#include "settings/settings.h"
-#include "ilc/learner.h"
+#include "learner.h"
 #include "past_fixture.h"
+#include "settings/settings.h"
 
 #include <stdio.h>
 

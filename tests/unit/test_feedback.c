@@ -1,5 +1,5 @@
 /* The estimator laws against hand-made numbers and the C library's tanh. */
-#include "ilc/feedback.h"
+#include "feedback.h"
 
 #include "unity.h"
 

@@ -1,5 +1,5 @@
 /* The learner against hand-made numbers, the formulas of the thesis and its own memory's edges. */
-#include "ilc/learner.h"
+#include "learner.h"
 
 #include "unity.h"
 

@@ -1,5 +1,6 @@
 /* What a picture shows beside the fish's place: the LED through an open shutter, and the tail. */
-#include "camera.h"
+#include "camera/camera.h"
+#include "config_valid.h"
 #include "test_sim_app.h"
 #include "test_sim_led.h"
 #include "unity.h"

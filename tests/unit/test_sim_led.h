@@ -1,9 +1,9 @@
-/* A LED that changes at known times, and how much of it an open shutter sees: what hal/sim's camera
+/* A LED that changes at known times, and how much of it an open shutter sees: what sim/camera
  * is compared with. */
 #ifndef TEST_SIM_LED_H
 #define TEST_SIM_LED_H
 
-#include "noise.h"
+#include "common/noise.h"
 
 #include <stdbool.h>
 #include <stddef.h>

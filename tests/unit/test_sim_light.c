@@ -1,5 +1,5 @@
 /* How much of the LED's light falls into an exposure. */
-#include "light.h"
+#include "camera/light.h"
 #include "test_sim_led.h"
 #include "unity.h"
 

@@ -1,4 +1,4 @@
-#include "noise.h"
+#include "common/noise.h"
 #include "unity.h"
 
 #include <math.h>

@@ -1,7 +1,8 @@
-#include "drag_step.h"
+#include "fish/plant_beats.h"
 #include "sim.h"
 #include "test_sim_app.h"
 #include "unity.h"
+#include "water/drag_step.h"
 
 #include <stdlib.h>
 

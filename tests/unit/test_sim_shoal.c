@@ -1,6 +1,7 @@
-#include "noise.h"
-#include "shoal.h"
-#include "shoal_lanes.h"
+#include "batch/shoal.h"
+#include "batch/shoal_lanes.h"
+#include "common/noise.h"
+#include "fish/plant_beats.h"
 #include "test_sim_app.h"
 #include "unity.h"
 

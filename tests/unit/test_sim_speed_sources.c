@@ -1,7 +1,7 @@
 /* Every source of speed against the simulated fish with its camera and its VN-100, over many
  * swims: how far off, and whether sigma says so. */
 #include "base/units.h"
-#include "felt.h"
+#include "fish/felt.h"
 #include "gait/gait.h"
 #include "imu/frame.h"
 #include "speed/estimate.h"

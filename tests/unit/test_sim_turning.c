@@ -1,7 +1,8 @@
 /* The simulated fish in the plane: a tail that is off its centre turns it, somebody puts it back at
  * the start, the water is stirred, the hull is opened. */
+#include "config_valid.h"
+#include "sensor/vn100_sense.h"
 #include "test_sim_vn100.h"
-#include "vn100_sense.h"
 
 #include <stddef.h>
 

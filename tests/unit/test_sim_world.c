@@ -1,3 +1,4 @@
+#include "config_valid.h"
 #include "test_sim_app.h"
 #include "unity.h"
 #include "world.h"

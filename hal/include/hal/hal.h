@@ -1,7 +1,7 @@
 /*
  * The seam between the portable firmware and a board.
  *
- * Every board (hal/sam3x8e, hal/sim, hal/mock) implements the functions declared in
+ * Every board (hal/sam3x8e, hal/host, hal/mock) implements the functions declared in
  * hal/include/hal. They are bound at link time. The handle is opaque to the firmware and lets one
  * process hold several boards; a board with one set of hardware may ignore it.
  *

@@ -1,5 +1,5 @@
 /*
- * A plant of two states under a feedback law of ilc/feedback.h, integrated over one trial. The
+ * A plant of two states under a feedback law of feedback.h, integrated over one trial. The
  * plant computes in double, the law in number_t, to which its errors and regressors are rounded.
  *
  * The time t runs over the common axis 0..duration of all trials; estimates are kept at its nodes,
@@ -8,7 +8,7 @@
 #ifndef CLOSED_LOOP_H
 #define CLOSED_LOOP_H
 
-#include "ilc/feedback.h"
+#include "feedback.h"
 
 #define LOOP_STATES 2u
 #define LOOP_ESTIMATES_MAX 21u

@@ -8,8 +8,8 @@
 #include "advection_plant.h"
 #include "chapter4.h"
 #include "chapter5.h"
-#include "ilc/feedback.h"
-#include "ilc/learner.h"
+#include "feedback.h"
+#include "learner.h"
 #include "whole_trial.h"
 
 /* Size of a bound struct as the C compiler laid it out; rows end with a NULL name. */

@@ -2,7 +2,7 @@
 #ifndef WHOLE_TRIAL_H
 #define WHOLE_TRIAL_H
 
-#include "ilc/learner.h"
+#include "learner.h"
 
 /* buffer_learner_output of every sample into |input| (samples values). */
 void whole_trial_input(const buffer_learner_t *learner, double *input);

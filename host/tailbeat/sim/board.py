@@ -1,6 +1,6 @@
 """Boards that live in this process, whose time passes only while somebody waits: what they have in
 common, the transport to them, and the simulated board, which is the firmware compiled for this
-computer (hal/sim/sim.h).
+computer (sim/sim.h).
 """
 
 from __future__ import annotations

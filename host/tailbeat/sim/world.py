@@ -1,4 +1,4 @@
-"""The fish in its tank, the camera, the IMU and the battery (hal/sim/world.h), and every verb by
+"""The fish in its tank, the camera, the IMU and the battery (sim/world.h), and every verb by
 which tests, scripts and people handle them.
 
 A verb is a method of ``World`` and a row of ``VERBS``: the words of the fault-injection port and

@@ -183,7 +183,7 @@ def test_slots_in_si_units(trial: Trial) -> None:
     assert np.all(np.isfinite(table["gain_m_s"][recorded]))
 
 
-YAW_PER_TAIL = -10.0 / 45.0  # hal/sim/felt.h
+YAW_PER_TAIL = -10.0 / 45.0  # sim/water/plant.h
 IMU_LAG_US = 20_000  # of the simulated sensor
 SENT_US = 5_500  # a frame's way over the wire is in its time
 

@@ -30,8 +30,8 @@ ndimage = lazy("scipy.ndimage")
 BEATS_MIN = 5
 # On top of the wire. A VN-100 filters nothing that is late: its output is the mean over just the
 # time since its last one (register 85), from 800 Hz samples. The simulated one is a servo frame
-# late (LAG_US in hal/sim/vn100_sense.c: its fish is known up to one frame ago). What a real one and
-# its mounting add has not been measured. So anything from nothing to a servo frame, evenly: its
+# late (LAG_US in sim/sensor/vn100_sense.c: its fish is known up to one frame ago). What a real one
+# and its mounting add has not been measured. So anything from nothing to a servo frame, evenly: its
 # middle, and its standard deviation; a simulated swim is found 10 ms too early.
 _LATE_S = 0.010
 LATE_SIGMA_S = 0.006

@@ -1,4 +1,4 @@
-"""The thesis recomputed: its laws (firmware/ilc, the same C), its plants, its examples, its claims.
+"""The thesis recomputed: its laws (firmware/ilc and host/native/thesis), plants, examples, claims.
 
 ``chapter2`` … ``chapter8`` hold the examples with the checks of the claims in ``ledger.toml``,
 ``figures`` what is drawn of them, ``plants`` the cases they are about. ``series`` and

@@ -1,6 +1,6 @@
-"""The compiled laws in either precision: firmware/ilc and the slow plants, bound with cffi.
+"""The compiled laws in either precision and the slow plants, bound with cffi.
 
-The memory laws of firmware/ilc/learner.h on numpy arrays, in double or in the board's float.
+The memory laws of host/native/thesis/learner.h on numpy arrays, in double or in the board's float.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class LearnerRefused(TailbeatError):
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """``learner_config_t``; fields and units as in ilc/law.h and ilc/learner.h.
+    """``learner_config_t``; fields and units as in ilc/law.h and learner.h.
 
     ``weights``: for ``past="window"``, newest first, (input, kp, kd) each; their number is the
     window. ``step`` is the sample period, ``lead`` whole or half samples.

@@ -1,5 +1,5 @@
-"""Trial after trial with the laws of firmware/ilc/learner.h: many series at a time, each with a
-learner of its own in C, the plant of all of them in numpy. Trials may be cut at random."""
+"""Trial after trial with the laws of host/native/thesis/learner.h: many series at a time, each with
+a learner of its own in C, the plant of all of them in numpy. Trials may be cut at random."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from tailbeat.sim.board import SimulatedBoard
 from tailbeat.sim.world import FRAME_US, CameraFrame, Wires, World
 
 EXPOSURE_S = 0.02
-YAW_PER_TAIL = -10 / 45  # hal/sim/felt.h
+YAW_PER_TAIL = -10 / 45  # sim/water/plant.h
 
 
 def lit_part(edges_us: list[int], picture: CameraFrame, exposure_s: float) -> float:

@@ -1,5 +1,5 @@
-"""The laws that correct while the plant moves (firmware/ilc/feedback.h) on the plants of chapters
-4 and 5: whole series of trials, integrated in C in double, the laws in double or float.
+"""The laws that correct while the plant moves (host/native/thesis/feedback.h) on the plants of
+chapters 4 and 5: whole series of trials, integrated in C in double, the laws in double or float.
 
 What the figures of chapters 4 and 5 have in common.
 """

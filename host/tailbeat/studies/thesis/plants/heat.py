@@ -4,7 +4,7 @@ w_t = w_xx + f(x, t) on x in [0, 1], t in min, w = 0 at first. Heat flows in at 
 chapter has it. The rod is linear and does not change in time, so that its output is what it does
 undriven plus the input convolved with one response: both are computed once.
 
-Trial after trial on the plants of chapters 6 and 7, with the laws of firmware/ilc/learner.h.
+Trial after trial on the plants of chapters 6 and 7, with the laws of host/native/thesis/learner.h.
 """
 
 from __future__ import annotations

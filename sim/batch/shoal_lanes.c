@@ -1,0 +1,105 @@
+#include "shoal_lanes.h"
+
+#include "common/noise_inline.h"
+
+#include <math.h>
+#include <stdbool.h>
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
+#define STILL_RAD 1e-6
+#define MISSING_MAX 5.0
+#define SIGMA_MIN_M_S 1e-5
+
+#define EACH_LANE(l) for (unsigned l = 0; l < SHOAL_LANES; l++)
+#define INLINE static inline __attribute__((always_inline))
+
+/* Of the ring, for the substeps of a frame. |late| when all lanes have the same delay. */
+typedef struct {
+    double *now[SUBSTEPS];
+    const double *late[SUBSTEPS];
+} strip_rows_t;
+
+static strip_rows_t strip_rows(const shoal_block_t *b) {
+    strip_rows_t rows;
+    for (unsigned i = 0; i < SUBSTEPS; i++) {
+        rows.now[i] = b->thrust[(b->step + i) & b->ring_mask];
+        rows.late[i] = b->thrust[(b->step + i - b->delay_steps[0]) & b->ring_mask];
+    }
+    return rows;
+}
+
+INLINE void fit_on(shoal_block_t *b, const shoal_window_t *w) {
+    const double least = b->pictures_min;
+    EACH_LANE(l) {
+        const double n = w->n[l];
+        const double vtt = w->stt[l] - w->st[l] * w->st[l] / n;
+        const double vtx = w->stx[l] - w->st[l] * w->sx[l] / n;
+        const double speed = vtx / vtt;
+        const double rest = w->sxx[l] - w->sx[l] * w->sx[l] / n - speed * vtx;
+        const double sigma = sqrt((rest > 0 ? rest : 0) / (n - 2) / vtt);
+        const double least_sigma = sigma > SIGMA_MIN_M_S ? sigma : SIGMA_MIN_M_S;
+        const bool enough = (n >= least) & (w->missing_max[l] <= MISSING_MAX);
+        b->speed_m_s[l] = enough ? speed : (double)NAN;
+        b->sigma_m_s[l] = enough ? least_sigma : (double)NAN;
+    }
+}
+
+#if defined(__x86_64__)
+
+/* MIN(a, b) is a < b ? a : b, MAX(a, b) is a > b ? a : b, as C has it. */
+#define STRIP_LABEL plain
+#define STRIP_TEXT "plain"
+#define STRIP_TARGET
+#define STRIP_WIDTH 2
+#define STRIP_SQRT(a) ((VEC)_mm_sqrt_pd((__m128d)(a)))
+#define STRIP_MIN(a, b) ((VEC)_mm_min_pd((__m128d)(a), (__m128d)(b)))
+#define STRIP_MAX(a, b) ((VEC)_mm_max_pd((__m128d)(a), (__m128d)(b)))
+#include "shoal_strip.h"
+
+#define STRIP_LABEL avx2
+#define STRIP_TEXT "avx2"
+#define STRIP_TARGET __attribute__((target("avx2")))
+#define STRIP_WIDTH 4
+#define STRIP_SQRT(a) ((VEC)_mm256_sqrt_pd((__m256d)(a)))
+#define STRIP_MIN(a, b) ((VEC)_mm256_min_pd((__m256d)(a), (__m256d)(b)))
+#define STRIP_MAX(a, b) ((VEC)_mm256_max_pd((__m256d)(a), (__m256d)(b)))
+#include "shoal_strip.h"
+
+#define STRIP_LABEL avx512
+#define STRIP_TEXT "avx512"
+#define STRIP_TARGET __attribute__((target("avx512f,avx512dq,avx512vl")))
+#define STRIP_WIDTH 8
+#define STRIP_SQRT(a) ((VEC)_mm512_sqrt_pd((__m512d)(a)))
+#define STRIP_MIN(a, b) ((VEC)_mm512_min_pd((__m512d)(a), (__m512d)(b)))
+#define STRIP_MAX(a, b) ((VEC)_mm512_max_pd((__m512d)(a), (__m512d)(b)))
+#include "shoal_strip.h"
+
+static bool has_avx512(void) {
+    return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
+           __builtin_cpu_supports("avx512vl");
+}
+
+const shoal_lanes_t *shoal_lanes(size_t index) {
+    __builtin_cpu_init();
+    const bool avx2_there = __builtin_cpu_supports("avx2") != 0;
+    const shoal_lanes_t *const has[] = {&plain, avx2_there ? &avx2 : NULL,
+                                        avx2_there && has_avx512() ? &avx512 : NULL};
+    return index < sizeof has / sizeof *has ? has[index] : NULL;
+}
+
+#else
+
+#define STRIP_LABEL plain
+#define STRIP_TEXT "plain"
+#define STRIP_TARGET
+#define STRIP_WIDTH 2
+#define STRIP_SQRT(a) ((VEC){sqrt((a)[0]), sqrt((a)[1])})
+#define STRIP_MIN(a, b) OF(choice)((BITS)((a) < (b)), a, b)
+#define STRIP_MAX(a, b) OF(choice)((BITS)((a) > (b)), a, b)
+#include "shoal_strip.h"
+
+const shoal_lanes_t *shoal_lanes(size_t index) { return index == 0 ? &plain : NULL; }
+
+#endif

@@ -1,0 +1,46 @@
+/*
+ * The tail: from servo pulses to what the water feels of them, the amplitude of the beat and where
+ * in the beat the tail is. Pulses are all it sees, with the nominal centre and scale.
+ *
+ * The first pulse of a swim is taken for the centre that the board believes in. About it the tail
+ * beats; where it is with that pulse is its mean angle, the bias: 0 for a tail that is mounted
+ * straight and for a trimmed one. A positive angle has the tip of the tail to port.
+ */
+#ifndef SIM_TAIL_H
+#define SIM_TAIL_H
+
+#include "common/sim_config.h"
+#include "water/tail_beat.h"
+
+#include <stdbool.h>
+#include <stdint.h>
+
+typedef struct {
+    uint32_t frames_per_beat;
+    double omega_rad_s;
+    bool has_servo;
+    double lag_s, rate_rad_s;             /* 0 = none */
+    double mounted_rad;                   /* askew by this */
+    double sine[FRAMES_PER_BEAT_MAX + 1]; /* at the frames of a beat */
+    double ripple[FRAMES_PER_BEAT_MAX * SUBSTEPS];
+    uint32_t frame;        /* within the beat */
+    double angle_rad;      /* commanded at the present frame */
+    double fit_ps, fit_ss; /* sums of angle*sine and sine*sine over the beat so far */
+    bool off_sine;         /* this beat's pulses are no sine: stopped, clipped */
+    double servo_rad;      /* real angle, about the bias */
+    int32_t centre_ticks;  /* of this swim's pulses */
+    double bias_rad;       /* real mean angle; a limp tail trails straight */
+} tail_t;
+
+void tail_init(tail_t *tail, const sim_config_t *config, uint32_t frames_per_beat);
+
+/* The tail is put to the centre, which |pulse_ticks| is; the next frame is frame 0 of a beat. */
+void tail_begin(tail_t *tail, uint16_t pulse_ticks);
+
+/* The frame from the present pulse to the next; 0 = no pulses. */
+void tail_frame(tail_t *tail, uint16_t pulse, uint16_t next_pulse, double frame_s, drive_t *drive);
+
+/* The same for a tail that is known to swim a sine of |amplitude_rad|, free of rounding. */
+void tail_frame_sine(tail_t *tail, double amplitude_rad, double frame_s, drive_t *drive);
+
+#endif

@@ -1,0 +1,25 @@
+/*
+ * The tail beat, as the water sees it: cut into frames of the servo and substeps, with what the
+ * tail does to the water in each.
+ */
+#ifndef SIM_TAIL_BEAT_H
+#define SIM_TAIL_BEAT_H
+
+#include <stdint.h>
+
+#define FRAME_SECONDS 0.02
+#define SUBSTEPS 4u /* per frame */
+#define FRAMES_PER_BEAT_MIN 4u
+#define FRAMES_PER_BEAT_MAX 1000u
+
+/* In the middle of each quarter of a frame. */
+typedef struct {
+    double amplitude_rad[SUBSTEPS];
+    double ripple[SUBSTEPS]; /* thrust over its mean over the beat: 2 cos^2 of the tail's phase */
+    double commanded_rad[2]; /* at the ends of the frame, about the bias */
+} drive_t;
+
+/* Whole frames in |beat_s|; 0 when it is no multiple of a frame or out of range. */
+uint32_t tail_beat_frames(double beat_s);
+
+#endif
