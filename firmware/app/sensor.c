@@ -102,5 +102,5 @@ fault_t sensor_command(sensor_t *sensor, const link_command_t *command) {
         return FAULT_NONE;
     }
     return imu_driver_give_row(driver, command->row, command->element) ? FAULT_NONE
-                                                                        : FAULT_BAD_DATA;
+                                                                       : FAULT_BAD_DATA;
 }

@@ -7,8 +7,7 @@
 #define SPEED_FRESH_US 1000000u
 
 static float live_speed(const trial_t *trial, uint64_t now_us) {
-    const bool fresh =
-        trial->live_speed_us != 0 && now_us - trial->live_speed_us < SPEED_FRESH_US;
+    const bool fresh = trial->live_speed_us != 0 && now_us - trial->live_speed_us < SPEED_FRESH_US;
     return fresh ? trial->live_speed_m_s : NAN;
 }
 

@@ -6,8 +6,7 @@
 #include <string.h>
 
 _Static_assert(VAULT_PAST_PLACES >= PAST_WINDOW_MAX, "earlier trials and the one to come");
-_Static_assert(MEMORY_ROUND % VAULT_PAST_PLACES == 0,
-               "places go on when the iteration goes round");
+_Static_assert(MEMORY_ROUND % VAULT_PAST_PLACES == 0, "places go on when the iteration goes round");
 
 /* How far back a walk has come, and the CRC that leads on. */
 typedef struct {

@@ -258,7 +258,8 @@ static void consider(vault_t *vault, salvage_t *salvage, uint8_t block, bool sec
         salvage_note_trial(salvage, counter - 1u);
         return;
     }
-    const bool better = second ? belongs(vault, salvage, kind) : is_better(vault, salvage, kind, &key);
+    const bool better =
+        second ? belongs(vault, salvage, kind) : is_better(vault, salvage, kind, &key);
     const bool exact = is_exact(vault, salvage, kind);
     if (exact || (better && !salvage->exact[kind])) {
         salvage->best[kind] = block;

@@ -12,8 +12,8 @@
  * one that the newest trial belongs to. Parameters say nothing of their age: without a witness they
  * count only when all copies are equal. So does a key: one that was replaced must not come back.
  *
- * Uses vault->record and what it has taken of the workspace. Reads all blocks twice; main loop, at boot
- * only.
+ * Uses vault->record and what it has taken of the workspace. Reads all blocks twice; main loop, at
+ * boot only.
  */
 #ifndef STORE_SALVAGE_FIND_H
 #define STORE_SALVAGE_FIND_H

@@ -2,8 +2,8 @@
  * The vault: every record of the board by its type, with one way to write each.
  *
  * It owns the files (store.h), the buffer through which a record goes on its way to the flash and
- * back, and the workspace (workspace.h). Nobody else encodes a record and stores it, so that what is
- * critical always goes through store/critical.h with its witness, and the bytes of the key never
+ * back, and the workspace (workspace.h). Nobody else encodes a record and stores it, so that what
+ * is critical always goes through store/critical.h with its witness, and the bytes of the key never
  * stay behind. What was stored is there after a cut, or what was there before.
  *
  * Main loop only; a call that saves takes as long as critical_replace(). Loading gives false, and
@@ -40,8 +40,8 @@ void vault_init(vault_t *vault, vault_alive_t alive, void *context);
 /* All that takes long and is no record either: the loops of others. */
 void vault_still_alive(vault_t *vault);
 
-/* For the salvage: the bytes of |path| into vault->record; their number, 0 when the file is missing,
- * empty or too long for it. */
+/* For the salvage: the bytes of |path| into vault->record; their number, 0 when the file is
+ * missing, empty or too long for it. */
 size_t vault_read(vault_t *vault, const char *path);
 
 bool vault_load_params(vault_t *vault, params_t *out);

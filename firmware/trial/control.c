@@ -145,7 +145,7 @@ void control_tick_isr(control_t *control, hal_t *hal) {
 }
 
 void control_order(control_t *control, hal_t *hal, const control_orders_t *orders) {
-    REQUIRE(!orders->swim || gait_config_valid(&orders->gait));
+    REQUIRE(!orders->swim || control->orders.swim || gait_config_valid(&orders->gait));
     REQUIRE(!orders->swim || orders->beats == 0 || orders->amplitude_rad != NULL);
     hal_irq_lock(hal);
     control->orders = *orders;

@@ -66,8 +66,8 @@ void control_init(control_t *control);
 /* One tick; writes the pulse. */
 void control_tick_isr(control_t *control, hal_t *hal);
 
-/* Main loop side. Orders to swim need a valid gait and amplitudes. These lock and unlock the
- * interrupt around a copy. */
+/* Main loop side. Orders to swim need amplitudes, and the first of them a valid gait, which the
+ * others repeat. These lock and unlock the interrupt around a copy. */
 void control_order(control_t *control, hal_t *hal, const control_orders_t *orders);
 /* Stops the tail at the next tick, whatever is ordered before it, and forgets the swim. */
 void control_stop(control_t *control, hal_t *hal);

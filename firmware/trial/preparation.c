@@ -13,8 +13,7 @@ void preparation_init(preparation_t *preparation, learner_t *learner, const tria
 
 void preparation_begin(preparation_t *preparation) {
     preparation->room_made = false;
-    preparation->guess_tried = preparation->guess_stored =
-        !learner_has_guess(preparation->learner);
+    preparation->guess_tried = preparation->guess_stored = !learner_has_guess(preparation->learner);
 }
 
 /* The file of a trial that was learned from, if it takes more than a block. The next trial replaces
@@ -45,8 +44,7 @@ static store_result_t make_room_step(preparation_t *preparation, bool *done) {
 
 void preparation_step(preparation_t *preparation) {
     if (!preparation->room_made) {
-        const store_result_t result =
-            make_room_step(preparation, &preparation->room_made);
+        const store_result_t result = make_room_step(preparation, &preparation->room_made);
         preparation->room_made = preparation->room_made || result != STORE_OK;
     } else if (!preparation->guess_tried) {
         (void)preparation_save_guess(preparation);

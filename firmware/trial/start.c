@@ -147,6 +147,7 @@ static void begin(trial_t *trial, uint32_t number) {
     workspace_t *workspace = &learner->vault->workspace;
     trial_run_begin(&trial->run, &plan, &workspace_take(workspace, WORKSPACE_ESTIMATE)->estimate);
     trial->executed = 0;
+    trial_follow_params(trial);
     /* Making space may have taken longer than the host may be silent. */
     trial->host.last_heartbeat_us = hal_time_us(trial->with.hal);
     battery_begin_swim(&trial->battery, trial->host.last_heartbeat_us);

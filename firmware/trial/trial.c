@@ -340,15 +340,22 @@ void trial_vision(trial_t *trial, const link_vision_t *sample) {
 void trial_tell_battery(trial_t *trial, const battery_voltage_t *battery) {
     const uint16_t low_mv = settings_battery_low_mv(trial->with.params);
     if (battery->at_limit && battery_tells_limit(&trial->battery, battery, low_mv)) {
-        link_text(trial->with.link, MAV_SEVERITY_WARNING,
-                  fault_info(FAULT_BATTERY_SENSE)->meaning);
+        link_text(trial->with.link, MAV_SEVERITY_WARNING, fault_info(FAULT_BATTERY_SENSE)->meaning);
     }
+}
+
+void trial_follow_params(trial_t *trial) {
+    trial->gait = settings_gait(trial->with.params, trial->with.learner->reference.beat_s);
+    trial->limits = settings_stop_limits(trial->with.params);
 }
 
 void trial_give_orders(trial_t *trial, uint64_t now_us, const battery_voltage_t *battery) {
     const imu_t *imu = trial->with.imu;
     const reference_t *reference = &trial->with.learner->reference;
     const bool level_known = imu->last_us != 0 && now_us - imu->last_us < IMU_FRESH_US;
+    if (trial->with.supervisor->state != STATE_RUNNING) {
+        trial_follow_params(trial);
+    }
     const control_orders_t orders = {
         .swim = supervisor_may_swim(trial->with.supervisor),
         .armed = state_is_armed(trial->with.supervisor->state),
@@ -356,8 +363,8 @@ void trial_give_orders(trial_t *trial, uint64_t now_us, const battery_voltage_t 
         .trial = trial->run.trial.number,
         .beats = reference->beats,
         .amplitude_rad = trial->run.trial.amplitude_rad,
-        .gait = settings_gait(trial->with.params, reference->beat_s),
-        .limits = settings_stop_limits(trial->with.params),
+        .gait = trial->gait,
+        .limits = trial->limits,
         .last_heartbeat_us = trial->host.last_heartbeat_us,
         .last_imu_us = imu->last_us,
         .battery = *battery,

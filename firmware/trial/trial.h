@@ -46,6 +46,8 @@ typedef struct {
     uint64_t settle_until_us; /* when the stopped run is finished */
     float live_speed_m_s;     /* of the camera; NaN = none yet */
     uint64_t live_speed_us;
+    gait_config_t gait;   /* as the parameters said before the swim */
+    stop_limits_t limits; /* the same */
     control_t control;
 } trial_t;
 
@@ -67,8 +69,8 @@ float trial_still_s(const trial_t *trial);
 /* Whether a trial swims, settles, or has not been stored yet. */
 bool trial_is_open(const trial_t *trial);
 
-/* On the pending trial; FAULT_NONE = accepted. Speeds measured after the swim, and that it is not to
- * be learned from. */
+/* On the pending trial; FAULT_NONE = accepted. Speeds measured after the swim, and that it is not
+ * to be learned from. */
 fault_t trial_set_speeds(trial_t *trial, const speed_upload_t *speeds);
 fault_t trial_discard(trial_t *trial, uint32_t number);
 
@@ -92,6 +94,10 @@ void trial_vision(trial_t *trial, const link_vision_t *sample);
 
 /* A board that swims nothing needs no battery: a voltage that is not known is told, once. */
 void trial_tell_battery(trial_t *trial, const battery_voltage_t *battery);
+
+/* Takes gait and limits from the parameters and the reference, which change in IDLE only: a swim
+ * need not ask again in every pass. At its start, and in give_orders while none is on. */
+void trial_follow_params(trial_t *trial);
 
 /* What the tick is to do from now on; at the end of every pass. */
 void trial_give_orders(trial_t *trial, uint64_t now_us, const battery_voltage_t *battery);

@@ -23,10 +23,10 @@ typedef enum {
 } trial_run_stage_t;
 
 typedef struct {
-    trial_record_t trial;     /* number 0 = none since boot; the pending trial while |pending| */
-    bool pending;      /* swum, neither learned nor discarded */
-    bool open;         /* not yet pending */
-    uint64_t start_us; /* board time of frame 0; 0 = the first tick has not come yet */
+    trial_record_t trial; /* number 0 = none since boot; the pending trial while |pending| */
+    bool pending;         /* swum, neither learned nor discarded */
+    bool open;            /* not yet pending */
+    uint64_t start_us;    /* board time of frame 0; 0 = the first tick has not come yet */
     speed_t speed;
     motion_t motion;
     estimate_t *estimate; /* NULL while no run is open */

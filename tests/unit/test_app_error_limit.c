@@ -172,7 +172,8 @@ static void test_the_trial_survives_a_restart_and_teaches(void) {
     learn();
     for (uint16_t k = 0; k < BEATS; k++) {
         TEST_ASSERT_EQUAL(k < trial.executed, app.learner.memory.visits[k]);
-        TEST_ASSERT_EQUAL(k<trial.executed, app.learner.memory.amplitude_rad[k]> before.amplitude_rad[k]);
+        TEST_ASSERT_EQUAL(
+            k<trial.executed, app.learner.memory.amplitude_rad[k]> before.amplitude_rad[k]);
     }
 }
 

@@ -190,7 +190,8 @@ static void expect_locked(void) {
 static void test_a_key_that_cannot_be_read(void) {
     static uint8_t bytes[sizeof app.vault.record + 1u];
     (void)set_key(key_a, TODAY);
-    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.vault.store, KEY_PATH, bytes, RECORD_KEY_MAX_BYTES));
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_load(&app.vault.store, KEY_PATH, bytes, RECORD_KEY_MAX_BYTES));
     static const size_t lengths[] = {0, 20, RECORD_KEY_MAX_BYTES - 1u, sizeof bytes};
     for (size_t i = 0; i < 4; i++) {
         TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, KEY_PATH, bytes, lengths[i]));
@@ -323,8 +324,8 @@ static void test_without_its_store_nothing_swims(void) {
     TEST_ASSERT_EQUAL(FAULT_NO_REFERENCE, command(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_EQUAL(FAULT_STORAGE, set_key(key_b, TODAY));
     const size_t length = encode_flat_reference(5, 0.04f);
-    TEST_ASSERT_NOT_EQUAL(STORE_OK,
-                          store_replace(&app.vault.store, "/in/reference.bin", upload_bytes, length));
+    TEST_ASSERT_NOT_EQUAL(
+        STORE_OK, store_replace(&app.vault.store, "/in/reference.bin", upload_bytes, length));
     TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
 }
 

@@ -76,7 +76,8 @@ static void count_beat_records(uint16_t count[BEATS_MAX]) {
         } else if (bytes[at + 2] == 'D' && bytes_get_u16(body) == topic) {
             const uint16_t k = bytes_get_u16(body + 10 + 20);
             TEST_ASSERT_TRUE(k < BEATS_MAX);
-            TEST_ASSERT_EQUAL_FLOAT(app.trial.run.trial.speed_m_s[k], bytes_get_f32(body + 10 + 12));
+            TEST_ASSERT_EQUAL_FLOAT(app.trial.run.trial.speed_m_s[k],
+                                    bytes_get_f32(body + 10 + 12));
             count[k]++;
         }
     }
@@ -105,7 +106,8 @@ static void test_an_average_keeps_all_beats(void) {
     TEST_ASSERT_EQUAL(BEATS_MAX, past.beats);
     for (uint32_t k = 0; k < BEATS_MAX; k++) {
         TEST_ASSERT_EQUAL_FLOAT(trial.amplitude_rad[k], past.amplitude_rad[k]);
-        TEST_ASSERT_EQUAL_FLOAT(app.learner.reference.speed_m_s[k] - trial.speed_m_s[k], past.error_m_s[k]);
+        TEST_ASSERT_EQUAL_FLOAT(app.learner.reference.speed_m_s[k] - trial.speed_m_s[k],
+                                past.error_m_s[k]);
     }
 }
 

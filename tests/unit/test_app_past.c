@@ -100,8 +100,8 @@ static void begin_learner(past_kind_t past, uint16_t window) {
     for (uint32_t k = 0; k < BEATS; k++) {
         first[k] = config.law.kp_rad_s_m * SPEED;
     }
-    TEST_ASSERT_EQUAL(
-        LAW_OK, buffer_learner_init(&learner, &config, first, buffer_learner_memory, sizeof buffer_learner_memory));
+    TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_init(&learner, &config, first, buffer_learner_memory,
+                                                  sizeof buffer_learner_memory));
 }
 
 static void expect_same_as_learner(void) {
@@ -320,7 +320,8 @@ static void remove_the_second(void) { (void)store_remove(&app.vault.store, "/pas
 
 static void put_the_first_there(void) {
     const size_t length = vault_read(&app.vault, "/past1.bin");
-    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, "/past2.bin", app.vault.record, length));
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_replace(&app.vault.store, "/past2.bin", app.vault.record, length));
 }
 
 static void leave_it(void) {}
@@ -555,7 +556,8 @@ static void test_a_stored_law_that_is_none_falls_back(void) {
         params.value[PARAM_ILC_KIND] = kind;
         params.value[PARAM_ILC_GAIN] = 3.5f;
         const size_t length = record_encode_params(&params, app.vault.record);
-        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, PARAMS_PATH, app.vault.record, length));
+        TEST_ASSERT_EQUAL(STORE_OK,
+                          store_replace(&app.vault.store, PARAMS_PATH, app.vault.record, length));
         TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_LOAD, 0));
         TEST_ASSERT_EQUAL_FLOAT(PAST_LAST, app.params.value[PARAM_ILC_KIND]);
         TEST_ASSERT_EQUAL_FLOAT(3.5f, app.params.value[PARAM_ILC_GAIN]);

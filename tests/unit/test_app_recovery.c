@@ -214,7 +214,8 @@ static void test_an_endless_beat_is_refused(void) {
 
 static void store_params_and_reboot(void) {
     const size_t length = record_encode_params(&app.params, app.vault.record);
-    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, PARAMS_PATH, app.vault.record, length));
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_replace(&app.vault.store, PARAMS_PATH, app.vault.record, length));
     reboot();
 }
 

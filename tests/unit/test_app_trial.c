@@ -197,7 +197,8 @@ static void test_a_trial_without_speeds_is_not_learned_from(void) {
     camera_on = false;
     swim_whole_trial(BEATS, SPEED);
     const memory_t before = app.learner.memory;
-    TEST_ASSERT_EQUAL(FAULT_NOTHING_MEASURED, command(LINK_COMMAND_LEARN, app.trial.run.trial.number));
+    TEST_ASSERT_EQUAL(FAULT_NOTHING_MEASURED,
+                      command(LINK_COMMAND_LEARN, app.trial.run.trial.number));
     TEST_ASSERT_EQUAL_MEMORY(&before, &app.learner.memory, sizeof before);
     TEST_ASSERT_EQUAL(FAULT_TRIAL_PENDING, command(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.trial.run.trial.number));

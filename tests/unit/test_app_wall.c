@@ -90,7 +90,8 @@ static void test_guarded_beats_learn_nothing(void) {
 static void test_with_all_beats_guarded_there_is_nothing_to_learn(void) {
     guard_beats(10.0f);
     cut_trial();
-    TEST_ASSERT_EQUAL(FAULT_NOTHING_MEASURED, command(LINK_COMMAND_LEARN, app.trial.run.trial.number));
+    TEST_ASSERT_EQUAL(FAULT_NOTHING_MEASURED,
+                      command(LINK_COMMAND_LEARN, app.trial.run.trial.number));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.trial.run.trial.number));
 }
 

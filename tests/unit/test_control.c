@@ -1,5 +1,5 @@
-#include "trial/control.h"
 #include "blink/blink.h"
+#include "trial/control.h"
 
 #include "mock_hal.h"
 #include "unity.h"

@@ -222,7 +222,8 @@ static void test_a_non_finite_error_is_refused_and_counts_as_not_measured(void) 
     TEST_ASSERT_EQUAL(1, report.measured_beats);
 }
 
-/* A collision is known only afterwards: the samples before it lose their validity in buffer_learner_end.
+/* A collision is known only afterwards: the samples before it lose their validity in
+ * buffer_learner_end.
  */
 static void test_valid_masks_what_was_measured_before(void) {
     use_window(2, LEARNER_HISTORY_ZERO);
@@ -256,8 +257,9 @@ static void test_configs_that_do_not_hold_together(void) {
 #define REFUSED(change)                                                                            \
     config = good;                                                                                 \
     change;                                                                                        \
-    TEST_ASSERT_EQUAL_MESSAGE(0, buffer_learner_bytes(&config), #change);                                 \
-    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, buffer_learner_init(&learner, &config, NULL, memory, MEMORY_BYTES))
+    TEST_ASSERT_EQUAL_MESSAGE(0, buffer_learner_bytes(&config), #change);                          \
+    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG,                                                              \
+                      buffer_learner_init(&learner, &config, NULL, memory, MEMORY_BYTES))
     REFUSED(config.samples = 0);
     REFUSED(config.law.lead_beats = 3);
     REFUSED(config.law.q_len = 0);
@@ -286,9 +288,11 @@ static void test_weights_beyond_the_window_do_not_matter(void) {
 
 static void test_first_inputs_that_are_not_finite_are_refused(void) {
     float first[] = {0.0f, 0.0f, (float)NAN};
-    TEST_ASSERT_EQUAL(LAW_BAD_INPUT, buffer_learner_init(&learner, &config, first, memory, MEMORY_BYTES));
+    TEST_ASSERT_EQUAL(LAW_BAD_INPUT,
+                      buffer_learner_init(&learner, &config, first, memory, MEMORY_BYTES));
     first[2] = 1e31f;
-    TEST_ASSERT_EQUAL(LAW_BAD_INPUT, buffer_learner_init(&learner, &config, first, memory, MEMORY_BYTES));
+    TEST_ASSERT_EQUAL(LAW_BAD_INPUT,
+                      buffer_learner_init(&learner, &config, first, memory, MEMORY_BYTES));
 }
 
 /* As many numbers per sample as the header says, and a byte for each trial kept. */
@@ -302,7 +306,8 @@ static size_t bytes_by_hand(void) {
 static void swim_some(void) {
     for (uint32_t i = 0; i < 20u; i++) {
         for (uint16_t k = 0; k < config.samples; k++) {
-            (void)buffer_learner_measure(&learner, k, 0.01f * (float)((i * 7u + k * 3u) % 11u) - 0.05f);
+            (void)buffer_learner_measure(&learner, k,
+                                         0.01f * (float)((i * 7u + k * 3u) % 11u) - 0.05f);
         }
         const uint16_t valid = (uint16_t)((i * 5u) % (config.samples + 1u));
         TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_end(&learner, valid, &report));
@@ -313,7 +318,8 @@ static void check_bytes(void) {
     const size_t bytes = buffer_learner_bytes(&config);
     TEST_ASSERT_EQUAL(bytes_by_hand(), bytes);
     memset(memory, GUARD, sizeof memory);
-    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, buffer_learner_init(&learner, &config, NULL, memory, bytes - 1u));
+    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG,
+                      buffer_learner_init(&learner, &config, NULL, memory, bytes - 1u));
     TEST_ASSERT_EACH_EQUAL_HEX8(GUARD, memory, bytes + GUARD_BYTES);
     TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_init(&learner, &config, NULL, memory, bytes));
     swim_some();

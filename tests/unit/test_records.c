@@ -48,12 +48,12 @@ static void fill(uint16_t beats) {
                         .input = MEMORY_INPUT_UPLOADED,
                         .best_max_abs_error_m_s = 0.0125f};
     trial = (trial_record_t){.number = 70001u,
-                      .reference_crc = 0x9ABCDEF0u,
-                      .iteration = 7,
-                      .beats = beats,
-                      .executed = (uint16_t)(beats - 1u),
-                      .source = SPEED_SOURCE_UPLOAD,
-                      .end = FAULT_LINK_LOST};
+                             .reference_crc = 0x9ABCDEF0u,
+                             .iteration = 7,
+                             .beats = beats,
+                             .executed = (uint16_t)(beats - 1u),
+                             .source = SPEED_SOURCE_UPLOAD,
+                             .end = FAULT_LINK_LOST};
     key = (key_record_t){.set = true, .key = {1, 2, 3, 4}, .mark = 0x0123456789ABu};
     past = (past_t){.learned_crc = 0x0BADCAFEu,
                     .previous_crc = 0x600DF00Du,

@@ -150,7 +150,8 @@ static void damage_file(const char *path) {
     lfs_file_t file;
     static uint8_t cache[STORE_CACHE_BYTES];
     const struct lfs_file_config config = {.buffer = cache};
-    TEST_ASSERT_EQUAL_INT(0, lfs_file_opencfg(&app.vault.store.lfs, &file, path, LFS_O_RDONLY, &config));
+    TEST_ASSERT_EQUAL_INT(
+        0, lfs_file_opencfg(&app.vault.store.lfs, &file, path, LFS_O_RDONLY, &config));
     const uint32_t head = file.ctz.head;
     (void)lfs_file_close(&app.vault.store.lfs, &file);
     hal.flash[head * STORE_BLOCK_BYTES + length / 2u] ^= 0x10u;
@@ -263,9 +264,9 @@ static void test_long_records_come_back(void) {
                             .last_trial = n,
                             .iteration = (uint16_t)(n + 1u)};
         trial = (trial_record_t){.number = n + 1u,
-                          .reference_crc = app.learner.reference.crc,
-                          .beats = BEATS_MAX,
-                          .executed = BEATS_MAX};
+                                 .reference_crc = app.learner.reference.crc,
+                                 .beats = BEATS_MAX,
+                                 .executed = BEATS_MAX};
         for (uint32_t k = 0; k < BEATS_MAX; k++) {
             memory.amplitude_rad[k] = 0.001f * (float)(k * n % 301u);
             trial.amplitude_rad[k] = memory.amplitude_rad[k];
@@ -288,8 +289,8 @@ static void test_long_records_come_back(void) {
 static void store_key(bool set, uint8_t fill, uint64_t mark) {
     key_record_t key = {.set = set, .mark = mark};
     memset(key.key, set ? fill : 0, sizeof key.key);
-    TEST_ASSERT_EQUAL(STORE_OK,
-                      store_replace(&app.vault.store, KEY_PATH, record, record_encode_key(&key, record)));
+    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, KEY_PATH, record,
+                                              record_encode_key(&key, record)));
 }
 
 static key_record_t stored_key(void) {

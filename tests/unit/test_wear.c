@@ -123,7 +123,8 @@ static void test_dying_pages_cost_nothing_that_was_stored(void) {
         fault = fault == FAULT_NONE ? command(LINK_COMMAND_LEARN, trial) : fault;
         const memory_t told = app.learner.memory;
         reboot();
-        TEST_ASSERT_EQUAL_MEMORY(fault == FAULT_NONE ? &told : &before, &app.learner.memory, sizeof told);
+        TEST_ASSERT_EQUAL_MEMORY(fault == FAULT_NONE ? &told : &before, &app.learner.memory,
+                                 sizeof told);
         TEST_ASSERT_GREATER_THAN_UINT32(trial - (fault == FAULT_NONE ? 0u : 1u), app.trial.next);
     }
     printf("pages that last %u to %u cycles: %u trials, then %s; %u writes failed\n", WEAK_CYCLES,

@@ -188,7 +188,8 @@ static void expect_old_content(void) {
         char path[STORE_PATH_BYTES];
         trial_log_path(number, path);
         old_log(number, content);
-        TEST_ASSERT_EQUAL_MESSAGE(STORE_OK, store_load(&app.vault.store, path, found, LOG_BYTES), path);
+        TEST_ASSERT_EQUAL_MESSAGE(STORE_OK, store_load(&app.vault.store, path, found, LOG_BYTES),
+                                  path);
         TEST_ASSERT_EQUAL_MEMORY(content, found, LOG_BYTES);
     }
 }

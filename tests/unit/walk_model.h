@@ -295,8 +295,8 @@ static void settling_pass(void) {
 static bool is_too_far_off(void) {
     const float source = value_of(PARAM_SPD_SOURCE);
     const bool tells = source < 0.5f || source > 2.5f; /* vision, model */
-    return app.supervisor.reason == FAULT_ERROR_LIMIT && tells && app.trial.run.estimate->next > 0 &&
-           value_of(PARAM_ERR_MAX_M_S) > 0.0f;
+    return app.supervisor.reason == FAULT_ERROR_LIMIT && tells &&
+           app.trial.run.estimate->next > 0 && value_of(PARAM_ERR_MAX_M_S) > 0.0f;
 }
 
 static void running_pass(void) {
