@@ -1,4 +1,4 @@
-"""The board finds its VN-100 and sets it up, or says why not: against the simulator's model of it."""
+"""The board finds its VN-100 and sets it up, or says why not: against the simulator's model."""
 
 from __future__ import annotations
 
