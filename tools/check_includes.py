@@ -69,7 +69,6 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 CIRCLES_LEFT: tuple[str, ...] = (
     "firmware/link",
     "firmware/store",
-    "hal/sam3x8e",
 )
 
 # Comments, strings and characters: nothing in them is a use.

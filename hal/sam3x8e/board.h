@@ -6,7 +6,6 @@
 #define SAM3X8E_BOARD_H
 
 #include "clock_tree.h"
-#include "crash.h"
 #include "hal/clock.h"
 #include "hal/flash.h"
 #include "hal/serial.h"
@@ -48,8 +47,8 @@ void serial_init(hal_t *hal);
 void battery_init(hal_t *hal);
 void servo_init(hal_t *hal);
 
-/* The tick's work, called by servo.c once per servo frame. */
-void board_tick_isr(void);
+/* First in the tick: its interrupt is taken, and counted. */
+void servo_tick_isr(hal_t *hal);
 
 /* Keeps the time from wrapping; at least once in 100 s. */
 void timebase_tick_isr(hal_t *hal);

@@ -1,5 +1,6 @@
 /* The chip itself: who it is, why it started, LED, watchdog, restart. */
 #include "board.h"
+#include "crash.h"
 #include "pins.h"
 #include "registers/eefc.h"
 #include "registers/rstc.h"

@@ -1,7 +1,5 @@
 #include "clock_tree.h"
 
-#include "board.h"
-#include "hal/clock.h"
 #include "interrupts.h"
 #include "registers/eefc.h"
 #include "registers/peripherals.h"
@@ -130,5 +128,3 @@ void clock_enable(uint32_t id) {
         PMC->PCER1 = 1u << (id - 32u);
     }
 }
-
-bool hal_clock_exact(const hal_t *hal) { return hal->clocks.exact; }

@@ -5,10 +5,13 @@ hal_t board;
 
 static app_t app;
 
-void board_tick_isr(void) {
+/* The tick: once per servo frame. */
+void servo_isr(void) {
+    servo_tick_isr(&board);
     timebase_tick_isr(&board);
     app_tick_isr(&app);
     board.wake = true;
+    battery_tick_isr(&board);
 }
 
 /* A handler that runs between the last look at board.wake and the WFI would leave its bytes lying

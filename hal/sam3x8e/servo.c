@@ -90,9 +90,7 @@ void hal_servo_pulse_isr(hal_t *hal, hal_servo_t servo, uint16_t width_ticks) {
     PWM->OSCUPD = PWM_OUTPUT_L(channel);
 }
 
-void servo_isr(void) {
+void servo_tick_isr(hal_t *hal) {
     (void)PWM->ISR1;
-    board.ticks++;
-    board_tick_isr();
-    battery_tick_isr(&board);
+    hal->ticks++;
 }

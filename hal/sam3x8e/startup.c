@@ -1,6 +1,7 @@
 #include "startup.h"
 
 #include "board.h"
+#include "crash.h"
 #include "memory_map.h"
 #include "registers/matrix.h"
 #include "registers/rstc.h"

@@ -37,3 +37,5 @@ uint64_t hal_time_us(const hal_t *hal) {
     cpu_set_primask(mask);
     return base_us + counts / hal->counts_per_us;
 }
+
+bool hal_clock_exact(const hal_t *hal) { return hal->clocks.exact; }
