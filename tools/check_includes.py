@@ -1,4 +1,4 @@
-"""Checks who includes whom among the C files, by folder.
+"""Checks who includes whom among the C files, by folder, and who moves the servo.
 
 Prints one line per offence and exits with 1 when there is one.
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 
 INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
 
-PURE = ("base", "blink", "params", "gait", "ilc", "imu", "speed", "supervisor")
+PURE = ("base", "blink", "params", "gait", "ilc", "imu", "monitor", "speed", "supervisor")
 GENERATED = ("tailbeat/mavlink.h", "checksum.h", "lfs.h", "build_id_generated.h")
 
 # What the C files of a folder may include: prefixes of include paths. Files beside the including
@@ -25,6 +25,8 @@ PURE_ALLOWED = {
     "gait": ("base/", "gait/"),
     "ilc": ("base/", "ilc/"),
     "imu": ("base/", "imu/"),
+    # The supervisor of last resort relies on as little as possible.
+    "monitor": ("base/", "params/params.h", "monitor/"),
     "speed": ("base/", "imu/frame.h", "speed/"),
     "supervisor": ("base/", "supervisor/"),
 }
@@ -38,6 +40,10 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "hal/sam3x8e/registers": ("registers/",),
     "hal/sam3x8e": ("base/", "hal/", "registers/", "app/app.h"),
 }
+
+# The tick alone reaches the servo and the memory of the monitor, so that no pulse goes past it.
+TICK = "control.c"
+OF_TICK = re.compile(r"\b(hal_servo_pulse_isr|hal_guard\w*|monitor_tick_isr)\(")
 
 
 def c_offences(root: Path) -> Iterator[str]:
@@ -57,9 +63,17 @@ def unknown_folders(root: Path) -> Iterator[str]:
             yield f"{path.relative_to(root)}: its folder has no rule in tools/check_includes.py"
 
 
+def past_monitor(root: Path) -> Iterator[str]:
+    """Calls outside the tick that would move the servo, or the state of the monitor."""
+    for path in sorted((root / "firmware").rglob("*.c")):
+        if path.name != TICK and path.parent.name != "monitor":
+            for name in OF_TICK.findall(path.read_text(encoding="utf-8")):
+                yield f"{path.relative_to(root)}: only {TICK} may call {name}()"
+
+
 def offences(root: Path) -> list[str]:
     """Everything that is wrong below |root|."""
-    return [*c_offences(root), *unknown_folders(root)]
+    return [*c_offences(root), *unknown_folders(root), *past_monitor(root)]
 
 
 def main() -> None:

@@ -4,6 +4,7 @@
 #include "base/units.h"
 #include "hal/clock.h"
 #include "hal/system.h"
+#include "monitor/monitor.h"
 
 #include <math.h>
 #include <string.h>
@@ -71,11 +72,35 @@ static bool is_by_armer(const app_t *app, const link_command_t *command) {
     return command->port == app->armed_port && command->system == app->armed_system;
 }
 
+/* The parameter record into app->record: the stored one, or the defaults if none is. Its bytes. */
+static size_t load_limits(app_t *app) {
+    const size_t length = boot_load_record(app, PARAMS_PATH);
+    if (length != 0) {
+        return length;
+    }
+    params_t defaults;
+    params_reset(&defaults);
+    return record_encode_params(&defaults, app->record);
+}
+
+/* The monitor holds a swim to what is stored: it must not ask for more. */
+static fault_t judge_limits(app_t *app) {
+    monitor_limits_t now, stored;
+    const size_t length = record_encode_params(&app->params, app->record);
+    const bool kept = monitor_read(app->record, length, &now) &&
+                      monitor_read(app->record, load_limits(app), &stored) &&
+                      monitor_within(&now, &stored);
+    return kept ? FAULT_NONE : FAULT_SERVO_UNSAVED;
+}
+
 fault_t swim_arm(app_t *app, const link_command_t *command) {
     if (app->supervisor.state != STATE_ARMED) {
         fault_t fault = ready_to_arm(app);
         if (fault == FAULT_NONE) {
             fault = judge_battery(app);
+        }
+        if (fault == FAULT_NONE) {
+            fault = judge_limits(app);
         }
         if (fault == FAULT_NONE) {
             fault = key_reserve(app, trial_s(app));
@@ -247,6 +272,7 @@ fault_t swim_start(app_t *app, const link_command_t *command) {
         .rate_scale_sigma = app->params.value[PARAM_IMU_SCALE_SD],
     };
     trial_run_begin(&app->run, &plan);
+    control_offer(&app->control, app->record, load_limits(app));
     app->executed = 0;
     /* Making space may have taken longer than the host may be silent. */
     app->last_heartbeat_us = hal_time_us(app->hal);

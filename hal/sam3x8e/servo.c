@@ -9,6 +9,11 @@
  * period ends, so a pulse is whole or absent. Should the tick be so late that the end of a period
  * falls between the two writes, then the duty comes first and the override stays for one frame
  * more: a late pulse, never one of the wrong width.
+ *
+ * The pin is the PWM's while pulses are asked for. Both ways it changes hands while the override
+ * holds the PWM's output as low as the pin itself is, so that this is no edge: the tick that asks
+ * for no pulse any more leaves the pin until the last one is out, and the next tick takes it. From
+ * then on each tick sees to it again that the pin is low, whatever became of it.
  */
 #include "board.h"
 #include "pins.h"
@@ -52,7 +57,6 @@ void servo_kill(void) {
 
 void servo_init(hal_t *hal) {
     servo_kill();
-    hal->servos_on = 0;
     clock_enable(ID_PWM);
     PWM->DIS = ALL_CHANNELS;
     PWM->OOV = 0;
@@ -69,23 +73,20 @@ void servo_init(hal_t *hal) {
     PWM->ENA = ALL_CHANNELS;
 }
 
-/* The override holds the PWM's output low as the pin is low: handing it over is no edge. */
-static void take_pin_isr(hal_t *hal, hal_servo_t servo) {
-    const uint32_t bit = 1u << servo;
-    if ((hal->servos_on & bit) == 0) {
-        hal->servos_on |= bit;
-        pin_to_peripheral(servos[servo].pin);
-    }
-}
-
 void hal_servo_pulse_isr(hal_t *hal, hal_servo_t servo, uint16_t width_ticks) {
     REQUIRE(servo < HAL_SERVO_COUNT);
     const uint32_t channel = servos[servo].channel;
+    const bool held = (PWM->OS & PWM_OUTPUT_L(channel)) != 0;
     if (width_ticks == 0 || !hal_clock_exact(hal)) {
         PWM->OSSUPD = PWM_OUTPUT_L(channel);
+        if (held) {
+            pin_output(servos[servo].pin, false);
+        }
         return;
     }
-    take_pin_isr(hal, servo);
+    if (held) {
+        pin_to_peripheral(servos[servo].pin);
+    }
     PWM->CHANNEL[channel].CDTYUPD = clamped(width_ticks);
     PWM->OSCUPD = PWM_OUTPUT_L(channel);
 }
