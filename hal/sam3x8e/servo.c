@@ -18,8 +18,15 @@
 #include "board.h"
 #include "pins.h"
 #include "registers/pwm.h"
+#include "registers/tc.h"
 
 #include "base/panic.h"
+
+/* While pulses go out. Without the tick the PWM would repeat the last one until the watchdog bites;
+ * this interrupt, which is a crash (vectors.c), comes sooner, and through any handler. */
+#define DEAD_TICK (&TC0->CHANNEL[1])
+#define DEAD_TICK_FRAMES 2u
+#define DEAD_TICK_DIVIDER 128u
 
 #define PWM_CLOCK_HZ (HAL_SERVO_TICKS_PER_US * 1000000u)
 #define FRAME_TICKS 60000u
@@ -68,6 +75,11 @@ void servo_init(hal_t *hal) {
         channel->CPRD = FRAME_TICKS;
         channel->CDTY = SHORTEST_TICKS;
     }
+    clock_enable(ID_TC1);
+    DEAD_TICK->CMR = TC_CMR_WAVE | TC_CMR_TCCLKS_TIMER_CLOCK4;
+    DEAD_TICK->RC = hal->clocks.mck_hz / (DEAD_TICK_DIVIDER * 1000u) * 20u * DEAD_TICK_FRAMES;
+    DEAD_TICK->IER = TC_IER_CPCS;
+    interrupt_enable(ID_TC1, PRIORITY_DEAD_TICK);
     PWM->IER1 = PWM_CHID(servos[HAL_SERVO_TAIL].channel);
     interrupt_enable(ID_PWM, PRIORITY_TICK);
     PWM->ENA = ALL_CHANNELS;
@@ -80,6 +92,7 @@ void hal_servo_pulse_isr(hal_t *hal, hal_servo_t servo, uint16_t width_ticks) {
     if (width_ticks == 0 || !hal_clock_exact(hal)) {
         PWM->OSSUPD = PWM_OUTPUT_L(channel);
         if (held) {
+            DEAD_TICK->CCR = TC_CCR_CLKDIS;
             pin_output(servos[servo].pin, false);
         }
         return;
@@ -87,6 +100,7 @@ void hal_servo_pulse_isr(hal_t *hal, hal_servo_t servo, uint16_t width_ticks) {
     if (held) {
         pin_to_peripheral(servos[servo].pin);
     }
+    DEAD_TICK->CCR = TC_CCR_CLKEN | TC_CCR_SWTRG;
     PWM->CHANNEL[channel].CDTYUPD = clamped(width_ticks);
     PWM->OSCUPD = PWM_OUTPUT_L(channel);
 }

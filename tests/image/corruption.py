@@ -33,6 +33,7 @@ from vboard.periph.pins import PinTrace, Pulse
 
 SHORTEST_US, LONGEST_US = 900, 2100  # SERVO_MIN_US and SERVO_MAX_US as stored: the defaults
 BEATS, COAST_S, FRAME_S = 2, 0.5, 0.02
+LATE_S = 4 * FRAME_S  # a tick that dies in the coast: its last pulse is repeated until a restart
 PULL_UP_US = 50  # at a reset the pin is high until the first instructions have run
 GUARDED_BYTES = 32
 BOOT, IDLE, RUNNING, SETTLING, LEARNING, FAULT = 0, 1, 3, 4, 5, 7  # state_t
@@ -325,10 +326,10 @@ class Day:
         fish.arm()
         self.spoil("ARMED", 0.1, 0)
         self._swim(fish)
-        whole_s = BEATS + COAST_S + 3 * FRAME_S
+        whole_s = BEATS + COAST_S + FRAME_S + LATE_S
         self.spoil("RUNNING", BEATS, whole_s)
         assert self.patient.leaves(RUNNING, whole_s)
-        self.spoil("SETTLING, coast", COAST_S, COAST_S + 2 * FRAME_S)
+        self.spoil("SETTLING, coast", COAST_S, COAST_S + LATE_S)
         self.board.run(COAST_S + 0.1)
         self.spoil("SETTLING", 0.1, 0)
         assert self.patient.leaves(SETTLING, 10)
@@ -353,7 +354,7 @@ class Day:
         self._swim(fish)
         self.board.run(1.2)
         fish.abort()
-        self.spoil("ABORTED, coast", COAST_S, COAST_S + 2 * FRAME_S)
+        self.spoil("ABORTED, coast", COAST_S, COAST_S + LATE_S)
         self.board.run(COAST_S + 0.1)
         self.spoil("ABORTED", 0.1, 0)
 
@@ -367,6 +368,6 @@ class Day:
         self.board.board.periph["ADC"].volts[BATTERY_CHANNEL] = lambda: 1.0
         assert self.patient.leaves(RUNNING, BEATS)
         assert self.patient.state() == FAULT
-        self.spoil("FAULT, coast", COAST_S, COAST_S + 2 * FRAME_S)
+        self.spoil("FAULT, coast", COAST_S, COAST_S + LATE_S)
         self.board.run(COAST_S + 0.1)
         self.spoil("FAULT", 0.1, 0)
