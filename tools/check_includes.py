@@ -1,4 +1,5 @@
-"""Checks who includes whom among the C files, by folder, and that no folder has a circle inside.
+"""Checks who includes whom among the C files, by folder, that no folder has a circle inside,
+and who moves the servo.
 
 A module is a pair of x.c and x.h. It depends on another one of its folder when it includes its
 header, and when its .c uses a function that the other's .c defines, wherever that is declared.
@@ -18,7 +19,7 @@ from pathlib import Path
 
 INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
 
-PURE = ("base", "blink", "params", "gait", "ilc", "imu", "speed", "supervisor")
+PURE = ("base", "blink", "params", "gait", "ilc", "imu", "monitor", "speed", "supervisor")
 GENERATED = ("tailbeat/mavlink.h", "checksum.h", "lfs.h", "build_id_generated.h")
 
 # What the C files of a folder may include: prefixes of include paths. Files beside the including
@@ -30,6 +31,8 @@ PURE_ALLOWED = {
     "gait": ("base/", "gait/"),
     "ilc": ("base/", "ilc/"),
     "imu": ("base/", "imu/"),
+    # The supervisor of last resort relies on as little as possible.
+    "monitor": ("base/", "params/params.h", "monitor/"),
     "speed": ("base/", "imu/frame.h", "speed/"),
     "supervisor": ("base/", "supervisor/"),
 }
@@ -64,6 +67,10 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "hal/mock": ("base/", "hal/"),
     **SIM_ALLOWED,
 }
+
+# The tick alone reaches the servo and the memory of the monitor, so that no pulse goes past it.
+TICK = "control.c"
+OF_TICK = re.compile(r"\b(hal_servo_pulse_isr|hal_guard\w*|monitor_tick_isr)\(")
 
 # Folders that still have circles. A folder without one does not belong here, which is checked.
 CIRCLES_LEFT: tuple[str, ...] = (
@@ -200,9 +207,22 @@ def circle_offences(root: Path, left: Collection[str]) -> Iterator[str]:
             yield f"{folder}: has no circle; take it out of CIRCLES_LEFT in tools/check_includes.py"
 
 
+def past_monitor(root: Path) -> Iterator[str]:
+    """Calls outside the tick that would move the servo, or the state of the monitor."""
+    for path in sorted((root / "firmware").rglob("*.c")):
+        if path.name != TICK and path.parent.name != "monitor":
+            for name in OF_TICK.findall(path.read_text(encoding="utf-8")):
+                yield f"{path.relative_to(root)}: only {TICK} may call {name}()"
+
+
 def offences(root: Path, left: Collection[str]) -> list[str]:
     """Everything that is wrong below |root|. |left|: folders that may have circles."""
-    return [*c_offences(root), *unknown_folders(root), *circle_offences(root, left)]
+    return [
+        *c_offences(root),
+        *unknown_folders(root),
+        *circle_offences(root, left),
+        *past_monitor(root),
+    ]
 
 
 def main() -> None:

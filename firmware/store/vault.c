@@ -128,6 +128,20 @@ store_result_t vault_save_crash(vault_t *vault, const crash_report_t *report) {
     return store_replace(&vault->store, CRASH_PATH, vault->record, length);
 }
 
+vault_record_t vault_params_record(vault_t *vault, const params_t *params) {
+    return (vault_record_t){vault->record, record_encode_params(params, vault->record)};
+}
+
+vault_record_t vault_stored_params(vault_t *vault) {
+    const size_t length = vault_read(vault, PARAMS_PATH);
+    if (length != 0) {
+        return (vault_record_t){vault->record, length};
+    }
+    params_t defaults;
+    params_reset(&defaults);
+    return vault_params_record(vault, &defaults);
+}
+
 uint32_t vault_memory_crc(vault_t *vault, const memory_t *memory) {
     (void)record_encode_memory(memory, vault->record);
     return record_crc(vault->record);

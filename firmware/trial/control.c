@@ -5,12 +5,14 @@
 #include "base/units.h"
 #include "blink/blink.h"
 #include "hal/clock.h"
+#include "hal/guard.h"
 #include "hal/servo.h"
 #include "hal/system.h"
-
-#include <stddef.h>
+#include "monitor/monitor.h"
 
 #define BLINK_HALF_US 200000u /* twice a symbol of blink.h: nobody takes it for a swim */
+
+_Static_assert(sizeof(monitor_t) <= HAL_GUARDED_BYTES, "the monitor fits its memory");
 
 void control_init(control_t *control) {
     *control = (control_t){0};
@@ -121,6 +123,47 @@ static void show(const control_t *control, hal_t *hal, uint64_t now_us) {
     hal_led_isr(hal, on);
 }
 
+/* The record is taken once, whatever becomes of it. */
+static void take_limits(control_t *control, monitor_limits_t *limits) {
+    const uint8_t *record = control->record;
+    control->record = NULL;
+    if (record != NULL) {
+        (void)monitor_read(record, control->record_bytes, limits);
+    }
+}
+
+static uint16_t ask_monitor(control_t *control, hal_t *hal, uint64_t now_us) {
+    const gait_output_t *gait = &control->report.gait;
+    monitor_t *monitor = hal_guarded(hal);
+    if (monitor_rests(monitor, gait->pulse_ticks)) {
+        return 0;
+    }
+    monitor_request_t request = {
+        .now_us = (uint32_t)now_us,
+        .pulse_ticks = gait->pulse_ticks,
+        .swim = gait->mode == GAIT_SWIM,
+        .coast_ticks = control->config.coast_frames,
+        .swim_ticks = (uint32_t)control->orders.beats * control->config.frames_per_beat,
+        .trial = control->trial,
+    };
+    if (monitor->state == MONITOR_OFF) {
+        take_limits(control, &request.limits);
+    }
+    hal_guard_open_isr(hal);
+    const uint16_t pulse_ticks = monitor_tick_isr(monitor, &request);
+    hal_guard_close_isr(hal);
+    return pulse_ticks;
+}
+
+/* The only way to the servo. False when the monitor does not let the pulse of the gait through. */
+static bool move_tail(control_t *control, hal_t *hal, uint64_t now_us) {
+    const uint16_t wanted_ticks = control->report.gait.pulse_ticks;
+    const uint16_t pulse_ticks = ask_monitor(control, hal, now_us);
+    hal_servo_pulse_isr(hal, HAL_SERVO_TAIL, pulse_ticks);
+    control->report.gait.pulse_ticks = pulse_ticks;
+    return pulse_ticks == wanted_ticks;
+}
+
 void control_tick_isr(control_t *control, hal_t *hal) {
     const uint64_t now_us = hal_time_us(hal);
     control_report_t *report = &control->report;
@@ -136,7 +179,9 @@ void control_tick_isr(control_t *control, hal_t *hal) {
         .amplitude_rad = swim ? next_amplitude(control) : 0.0f,
     };
     report->gait = gait_frame_isr(&control->gait, &control->config, command);
-    hal_servo_pulse_isr(hal, HAL_SERVO_TAIL, report->gait.pulse_ticks);
+    if (!move_tail(control, hal, now_us) && swim) {
+        report->stop = FAULT_MONITOR;
+    }
     if (report->gait.beat_start && report->gait.beat == 0) {
         report->swim_start_us = now_us + FRAME_US;
     }
@@ -153,8 +198,14 @@ void control_order(control_t *control, hal_t *hal, const control_orders_t *order
     hal_irq_unlock(hal);
 }
 
+void control_offer(control_t *control, const uint8_t *record, size_t length) {
+    control->record = record;
+    control->record_bytes = length;
+}
+
 void control_stop(control_t *control, hal_t *hal) {
     hal_irq_lock(hal);
+    control->record = NULL;
     control->orders.swim = false;
     control->orders.armed = false;
     control->stop_ordered = true;

@@ -2,6 +2,9 @@
  * The 50 Hz tick: gait, pulse, stop rules, late-tick check. Everything here runs in interrupt
  * context on data that the main loop hands over with the interrupt locked.
  *
+ * The pulse that the gait wants goes out if the monitor allows it (monitor/monitor.h), whose memory
+ * is open to this tick only. A swim that it refuses or cuts ends with FAULT_MONITOR.
+ *
  * The tick also owns the LED: while the pulses of a swim come out it shows the code of blink.h,
  * otherwise whether the board is armed, slowly blinking as long as it was asked to (hands out of
  * the water). It changes at the begin of a frame.
@@ -15,6 +18,7 @@
 #include "supervisor/stop_rules.h"
 
 #include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
 
 /*
@@ -58,6 +62,8 @@ typedef struct {
     control_orders_t orders;
     uint64_t battery_ok_us; /* last tick that found it not critical, swimming or not */
     bool stop_ordered;      /* |swim| was false at some time since the last tick */
+    const uint8_t *record;  /* the parameters, for the monitor; NULL = none */
+    size_t record_bytes;
     control_report_t report;
 } control_t;
 
@@ -69,6 +75,9 @@ void control_tick_isr(control_t *control, hal_t *hal);
 /* Main loop side. Orders to swim need amplitudes, and the first of them a valid gait, which the
  * others repeat. These lock and unlock the interrupt around a copy. */
 void control_order(control_t *control, hal_t *hal, const control_orders_t *orders);
+/* While no swim is ordered: the stored parameter record, for the monitor. |record| stays as it is
+ * until the next swim has begun, which takes it; a stop forgets it. */
+void control_offer(control_t *control, const uint8_t *record, size_t length);
 /* Stops the tail at the next tick, whatever is ordered before it, and forgets the swim. */
 void control_stop(control_t *control, hal_t *hal);
 control_report_t control_report(control_t *control, hal_t *hal);

@@ -4,6 +4,7 @@
 #include "base/units.h"
 #include "hal/clock.h"
 #include "learn/reference.h"
+#include "monitor/monitor.h"
 #include "settings/settings.h"
 #include "trial/settle.h"
 
@@ -40,6 +41,20 @@ static fault_t judge_board(const trial_t *trial) {
     return trial->run.pending ? FAULT_TRIAL_PENDING : FAULT_NONE;
 }
 
+static bool read_limits(vault_record_t record, monitor_limits_t *limits) {
+    return monitor_read(record.bytes, record.length, limits);
+}
+
+/* The monitor holds a swim to what is stored: it must not ask for more. */
+static fault_t judge_limits(const trial_t *trial) {
+    vault_t *vault = trial->with.learner->vault;
+    monitor_limits_t now, stored;
+    const bool kept = read_limits(vault_params_record(vault, trial->with.params), &now) &&
+                      read_limits(vault_stored_params(vault), &stored) &&
+                      monitor_within(&now, &stored);
+    return kept ? FAULT_NONE : FAULT_SERVO_UNSAVED;
+}
+
 static fault_t reserve_key(const trial_t *trial) {
     const float ahead_s = settle_trial_s(trial->with.params, &trial->with.learner->reference);
     return keyring_reserve(trial->with.keyring, ahead_s);
@@ -52,6 +67,9 @@ static fault_t become_ready(trial_t *trial) {
     }
     if (fault == FAULT_NONE) {
         fault = judge_battery(trial);
+    }
+    if (fault == FAULT_NONE) {
+        fault = judge_limits(trial);
     }
     if (fault == FAULT_NONE) {
         fault = reserve_key(trial);
@@ -146,6 +164,8 @@ static void begin(trial_t *trial, uint32_t number) {
     };
     workspace_t *workspace = &learner->vault->workspace;
     trial_run_begin(&trial->run, &plan, &workspace_take(workspace, WORKSPACE_ESTIMATE)->estimate);
+    const vault_record_t params_record = vault_stored_params(learner->vault);
+    control_offer(&trial->control, params_record.bytes, params_record.length);
     trial->executed = 0;
     trial_follow_params(trial);
     /* Making space may have taken longer than the host may be silent. */

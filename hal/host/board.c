@@ -45,6 +45,7 @@ void board_restart(hal_t *hal, hal_reset_cause_t cause) {
     hal->to_imu.baud = BOOT_BAUD;
     hal->boot_us = hal->now_us;
     memset(hal->pulse_ticks, 0, sizeof hal->pulse_ticks);
+    memset(hal->guarded, 0, sizeof hal->guarded);
     hal->reset_cause = cause;
     hal->reset_wanted = false;
     hal->led = false;
@@ -62,6 +63,11 @@ void hal_servo_pulse_isr(hal_t *hal, hal_servo_t servo, uint16_t width_ticks) {
     REQUIRE(servo < HAL_SERVO_COUNT);
     hal->pulse_ticks[servo] = width_ticks;
 }
+
+/* No memory protection here. */
+void *hal_guarded(hal_t *hal) { return hal->guarded; }
+void hal_guard_open_isr(hal_t *hal) { (void)hal; }
+void hal_guard_close_isr(hal_t *hal) { (void)hal; }
 
 static size_t room(const board_ring_t *ring) {
     return BOARD_RING_BYTES - (size_t)(ring->tail - ring->head);

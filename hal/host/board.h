@@ -4,6 +4,7 @@
 
 #include "hal/clock.h"
 #include "hal/flash.h"
+#include "hal/guard.h"
 #include "hal/serial.h"
 #include "hal/servo.h"
 #include "hal/system.h"
@@ -36,6 +37,7 @@ struct hal {
     bool connected[BOARD_LINKS];
     board_wire_t to_imu;
     uint16_t pulse_ticks[HAL_SERVO_COUNT];
+    uint64_t guarded[HAL_GUARDED_BYTES / 8u];
     uint16_t battery_mv;
     hal_reset_cause_t reset_cause;
     bool reset_wanted;

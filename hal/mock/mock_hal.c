@@ -163,3 +163,25 @@ void hal_irq_unlock(hal_t *hal) {
         hal->on_unlock(hal);
     }
 }
+
+void *hal_guarded(hal_t *hal) { return hal->guarded; }
+
+void hal_guard_open_isr(hal_t *hal) {
+    if (hal->guard_open || memcmp(hal->guarded, hal->guarded_closed, sizeof hal->guarded) != 0) {
+        abort();
+    }
+    hal->guard_open = true;
+}
+
+void hal_guard_close_isr(hal_t *hal) {
+    if (!hal->guard_open) {
+        abort();
+    }
+    memcpy(hal->guarded_closed, hal->guarded, sizeof hal->guarded);
+    hal->guard_open = false;
+}
+
+void mock_reset_guarded(hal_t *hal) {
+    memset(hal->guarded, 0, sizeof hal->guarded);
+    memset(hal->guarded_closed, 0, sizeof hal->guarded_closed);
+}

@@ -7,6 +7,7 @@
 
 #include "hal/clock.h"
 #include "hal/flash.h"
+#include "hal/guard.h"
 #include "hal/serial.h"
 #include "hal/servo.h"
 #include "hal/system.h"
@@ -51,7 +52,10 @@ struct hal {
     bool led;
     uint32_t watchdog_feeds;
     uint32_t resets;
-    int irq_locked;                     /* must be 0 or 1 */
+    int irq_locked; /* must be 0 or 1 */
+    uint64_t guarded[HAL_GUARDED_BYTES / 8u];
+    uint64_t guarded_closed[HAL_GUARDED_BYTES / 8u]; /* as it was closed; else it aborts */
+    bool guard_open;
     void (*on_unlock)(struct hal *hal); /* an interrupt that waited for it; NULL = none */
 };
 
@@ -62,6 +66,9 @@ void mock_feed(hal_t *hal, hal_port_t port, const void *bytes, size_t length);
 
 /* Takes up to |max| bytes the firmware has sent. */
 size_t mock_take(hal_t *hal, hal_port_t port, void *out, size_t max);
+
+/* What a reset does to the guarded memory. */
+void mock_reset_guarded(hal_t *hal);
 
 /* Runs |statement| and sets |panicked| to whether it ended in panic(). */
 #define MOCK_EXPECT_PANIC(panicked, statement)                                                     \

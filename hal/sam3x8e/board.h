@@ -33,7 +33,6 @@ struct hal {
     uint16_t battery_samples[BATTERY_SAMPLES]; /* battery.c: the last ones, counts */
     uint8_t battery_at;                        /* ... the oldest of them */
     volatile uint32_t battery_sum;
-    uint32_t servos_on; /* servo.c: bit of each servo whose pin is the PWM's */
 };
 
 extern hal_t board;

@@ -8,6 +8,7 @@
 /* 0 = most urgent of 16. hal_irq_lock() raises BASEPRI to the tick's, so that bytes go on moving
  * meanwhile. */
 #define PRIORITY_CLOCK_FAILURE 0u
+#define PRIORITY_DEAD_TICK 0u
 #define PRIORITY_CONSOLE 2u
 #define PRIORITY_DMA 4u
 #define PRIORITY_TICK 8u

@@ -11,6 +11,7 @@ extern uint32_t __data_end[];        /* ... and here */
 extern uint32_t __bss_start[];
 extern uint32_t __bss_end[];
 extern uint32_t __ram_start[];
+extern uint32_t __guarded[];     /* HAL_GUARDED_BYTES (hal/guard.h), aligned to their number */
 extern uint32_t __stack_guard[]; /* no access from here up to __stack_bottom: a power of two */
 extern uint32_t __stack_bottom[];
 extern uint32_t __stack_top[];

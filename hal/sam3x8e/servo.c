@@ -9,12 +9,24 @@
  * period ends, so a pulse is whole or absent. Should the tick be so late that the end of a period
  * falls between the two writes, then the duty comes first and the override stays for one frame
  * more: a late pulse, never one of the wrong width.
+ *
+ * The pin is the PWM's while pulses are asked for. Both ways it changes hands while the override
+ * holds the PWM's output as low as the pin itself is, so that this is no edge: the tick that asks
+ * for no pulse any more leaves the pin until the last one is out, and the next tick takes it. From
+ * then on each tick sees to it again that the pin is low, whatever became of it.
  */
 #include "board.h"
 #include "pins.h"
 #include "registers/pwm.h"
+#include "registers/tc.h"
 
 #include "base/panic.h"
+
+/* While pulses go out. Without the tick the PWM would repeat the last one until the watchdog bites;
+ * this interrupt, which is a crash (vectors.c), comes sooner, and through any handler. */
+#define DEAD_TICK (&TC0->CHANNEL[1])
+#define DEAD_TICK_FRAMES 2u
+#define DEAD_TICK_DIVIDER 128u
 
 #define PWM_CLOCK_HZ (HAL_SERVO_TICKS_PER_US * 1000000u)
 #define FRAME_TICKS 60000u
@@ -52,7 +64,6 @@ void servo_kill(void) {
 
 void servo_init(hal_t *hal) {
     servo_kill();
-    hal->servos_on = 0;
     clock_enable(ID_PWM);
     PWM->DIS = ALL_CHANNELS;
     PWM->OOV = 0;
@@ -64,28 +75,32 @@ void servo_init(hal_t *hal) {
         channel->CPRD = FRAME_TICKS;
         channel->CDTY = SHORTEST_TICKS;
     }
+    clock_enable(ID_TC1);
+    DEAD_TICK->CMR = TC_CMR_WAVE | TC_CMR_TCCLKS_TIMER_CLOCK4;
+    DEAD_TICK->RC = hal->clocks.mck_hz / (DEAD_TICK_DIVIDER * 1000u) * 20u * DEAD_TICK_FRAMES;
+    DEAD_TICK->IER = TC_IER_CPCS;
+    interrupt_enable(ID_TC1, PRIORITY_DEAD_TICK);
     PWM->IER1 = PWM_CHID(servos[HAL_SERVO_TAIL].channel);
     interrupt_enable(ID_PWM, PRIORITY_TICK);
     PWM->ENA = ALL_CHANNELS;
 }
 
-/* The override holds the PWM's output low as the pin is low: handing it over is no edge. */
-static void take_pin_isr(hal_t *hal, hal_servo_t servo) {
-    const uint32_t bit = 1u << servo;
-    if ((hal->servos_on & bit) == 0) {
-        hal->servos_on |= bit;
-        pin_to_peripheral(servos[servo].pin);
-    }
-}
-
 void hal_servo_pulse_isr(hal_t *hal, hal_servo_t servo, uint16_t width_ticks) {
     REQUIRE(servo < HAL_SERVO_COUNT);
     const uint32_t channel = servos[servo].channel;
+    const bool held = (PWM->OS & PWM_OUTPUT_L(channel)) != 0;
     if (width_ticks == 0 || !hal_clock_exact(hal)) {
         PWM->OSSUPD = PWM_OUTPUT_L(channel);
+        if (held) {
+            DEAD_TICK->CCR = TC_CCR_CLKDIS;
+            pin_output(servos[servo].pin, false);
+        }
         return;
     }
-    take_pin_isr(hal, servo);
+    if (held) {
+        pin_to_peripheral(servos[servo].pin);
+    }
+    DEAD_TICK->CCR = TC_CCR_CLKEN | TC_CCR_SWTRG;
     PWM->CHANNEL[channel].CDTYUPD = clamped(width_ticks);
     PWM->OSCUPD = PWM_OUTPUT_L(channel);
 }

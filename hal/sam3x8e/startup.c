@@ -2,6 +2,7 @@
 
 #include "board.h"
 #include "crash.h"
+#include "guard.h"
 #include "memory_map.h"
 #include "registers/matrix.h"
 #include "registers/rstc.h"
@@ -42,17 +43,6 @@ static void fill_ram(void) {
     memset(__bss_start, 0, bytes_between(__bss_start, __bss_end));
 }
 
-/* Below the stack lies other RAM, mirrored or in use: an overflow would go unnoticed. The region's
- * access field stays 0, which is no access at all; elsewhere everything is as without an MPU. */
-static void guard_stack(void) {
-    MPU->RNR = 0;
-    MPU->RBAR = (uint32_t)__stack_guard;
-    const size_t bytes = bytes_between(__stack_guard, __stack_bottom);
-    MPU->RASR = MPU_RASR_ENABLE | MPU_RASR_XN | FIELD(MPU_RASR_SIZE, __builtin_ctz(bytes) - 1);
-    MPU->CTRL = MPU_CTRL_ENABLE | MPU_CTRL_PRIVDEFENA;
-    cpu_barrier();
-}
-
 static void enable_faults(void) {
     SCB->SHCSR = SCB_SHCSR_MEMFAULTENA | SCB_SHCSR_BUSFAULTENA | SCB_SHCSR_USGFAULTENA;
     SCB->CCR |= SCB_CCR_DIV_0_TRP;
@@ -67,7 +57,7 @@ _Noreturn void reset_handler(void) {
     const clock_tree_t clocks = clock_tree_init();
     fill_ram();
     board.clocks = clocks;
-    guard_stack();
+    guard_init();
     enable_faults();
     watch_supply();
     (void)main();

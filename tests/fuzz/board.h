@@ -18,6 +18,7 @@ static app_t app;
 
 static inline void board_boot(void) {
     hal.now_us = 0;
+    mock_reset_guarded(&hal);
     hal.pulse_count = 0;
     for (uint32_t port = 0; port < HAL_PORT_COUNT; port++) {
         hal.rx[port].head = hal.rx[port].tail = hal.tx[port].head = hal.tx[port].tail = 0;

@@ -60,6 +60,7 @@ CHANNEL_REGISTERS = {
     "PWM_CMR": "CMR0",
     "TC_CCR": "CCR0",
     "TC_CMR": "CMR0_WAVE_EQ_1",
+    "TC_IER": "IER0",
     "ADC_CDR": "CDR",
     "MATRIX_SCFG": "MATRIX_SCFG",
 }
@@ -122,11 +123,19 @@ CORE_FIELDS = {
     "SCB_CFSR_STKERR": (12, 1),
     "MPU_CTRL_ENABLE": (0, 1),
     "MPU_CTRL_PRIVDEFENA": (2, 1),
+    "MPU_RBAR_VALID": (4, 1),
     "MPU_RASR_ENABLE": (0, 1),
     "MPU_RASR_SIZE": (1, 5),
+    "MPU_RASR_C": (17, 1),
+    "MPU_RASR_S": (18, 1),
+    "MPU_RASR_AP": (24, 3),
     "MPU_RASR_XN": (28, 1),
 }
-CORE_VALUES = {"SCB_AIRCR_VECTKEY_PASSWD": 0x05FA << 16}
+CORE_VALUES = {
+    "SCB_AIRCR_VECTKEY_PASSWD": 0x05FA << 16,
+    "MPU_RASR_AP_PRIVILEGED": 1 << 24,
+    "MPU_RASR_AP_READ_ONLY": 5 << 24,
+}
 
 
 def number(text: str) -> int:

@@ -19,6 +19,7 @@ from vboard.periph.pins import PinTrace
 LONGEST_PULSE_US = 2100
 WATCHDOG_S = 1.01  # 256 ticks of the slow clock at its nominal 32 kHz
 HANGS_US = 1e9
+DEAD_TICK_S = 0.06  # two frames, one of them begun when the tick stops
 BATTERY_CHANNEL = 7
 IMU_BACK_S = 5.0
 FREE_FLASH = BANK_BYTES - 1024  # the image does not reach so far
@@ -148,13 +149,18 @@ def test_a_stuck_main_loop_ends_in_a_watchdog_reset(
     assert fish.health()["reset_cause"] == "watchdog"
 
 
-def test_a_dead_tick_ends_in_a_watchdog_reset(new_board: NewBoard, connect: Connect) -> None:
+def test_a_dead_tick_ends_in_a_restart(new_board: NewBoard, connect: Connect) -> None:
     board = new_board()
     trace = swimming(board, connect(board))
     board.board.periph["PWM"].write_idr1(1 << 4)
-    board.run(1.5)
+    dead = board.board.clock.now
+    board.run(0.3)
+    last = trace.pulses()[-2]
+    assert last.start + last.ticks - dead < DEAD_TICK_S * 1e6 * TICKS_PER_US
     fish = connect(board)
-    expect_stopped(board, fish, trace, "WATCHDOG")
+    expect_stopped(board, fish, trace, "CRASH")
+    report = fish.crash_report()
+    assert report is not None and report.kind == "unexpected interrupt"
 
 
 def test_an_unplugged_imu_stops_the_trial(new_board: NewBoard, connect: Connect) -> None:

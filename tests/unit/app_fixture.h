@@ -30,6 +30,7 @@ static inline void fixture_reset(void) {
 
 static inline void reboot(void) {
     hal.now_us = 0;
+    mock_reset_guarded(&hal);
     app_init(&app, &hal);
 }
 

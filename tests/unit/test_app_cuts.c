@@ -53,6 +53,7 @@ static void boot_dark(void) {
     dark_hal.tx[0].tail = dark_hal.tx[1].tail = 0;
     dark_hal.rx[0].tail = dark_hal.rx[1].tail = 0;
     dark_hal.irq_locked = 0;
+    mock_reset_guarded(&dark_hal);
     app_init(&dark, &dark_hal);
 }
 

@@ -328,6 +328,44 @@ static void test_contradicting_servo_parameters_do_not_arm(void) {
     TEST_ASSERT_EQUAL(FAULT_SERVO_CONFIG, command(LINK_COMMAND_ARM, 0));
 }
 
+/* The monitor goes by what is stored; nothing stored stands for the defaults. */
+static void test_servo_limits_wider_than_saved_do_not_arm(void) {
+    static const struct {
+        param_t param;
+        float wider, narrower;
+    } LIMITS[] = {{PARAM_SERVO_MIN_US, 899.0f, 1000.0f},
+                  {PARAM_SERVO_MAX_US, 2101.0f, 2000.0f},
+                  {PARAM_SERVO_SLEW_RAD_S, 0.0f, 3.0f}};
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    for (uint32_t i = 0; i < 3u; i++) {
+        TEST_ASSERT_EQUAL(FAULT_NONE,
+                          commands_param_set(&app, LIMITS[i].param, LIMITS[i].narrower));
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISARM, 0));
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
+        TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, LIMITS[i].param, LIMITS[i].wider));
+        TEST_ASSERT_EQUAL(FAULT_SERVO_UNSAVED, command(LINK_COMMAND_ARM, 0));
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISARM, 0));
+    }
+}
+
+/* RAM that changes after arming moves the tail no further than what is stored. */
+static void test_a_limit_that_changes_in_ram_cuts_the_swim(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+    app.params.value[PARAM_SERVO_CENTRE_US] = 2120.0f;
+    app.params.value[PARAM_SERVO_MAX_US] = 2200.0f;
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.trial.next));
+    run_ms(200);
+    TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_MONITOR, app.supervisor.reason);
+    for (size_t i = 0; i < hal.pulse_count; i++) {
+        TEST_ASSERT_EQUAL_UINT16(0, hal.pulses[i]);
+    }
+}
+
 static void test_a_lead_as_long_as_the_trial_does_not_arm(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_LEAD, BEATS));
@@ -460,6 +498,8 @@ int main(void) {
     RUN_TEST(test_flash_that_fails_while_armed_or_during_an_upload_is_a_fault);
     RUN_TEST(test_a_full_store_is_no_fault);
     RUN_TEST(test_contradicting_servo_parameters_do_not_arm);
+    RUN_TEST(test_servo_limits_wider_than_saved_do_not_arm);
+    RUN_TEST(test_a_limit_that_changes_in_ram_cuts_the_swim);
     RUN_TEST(test_a_lead_as_long_as_the_trial_does_not_arm);
     RUN_TEST(test_the_best_comes_back_on_request);
     RUN_TEST(test_a_watchdog_reset_is_told_and_must_be_cleared);

@@ -2,6 +2,7 @@
 #include "trial/control.h"
 
 #include "mock_hal.h"
+#include "store/records.h"
 #include "unity.h"
 
 #include <math.h>
@@ -63,7 +64,16 @@ static control_report_t ticks(uint32_t count) {
     return report;
 }
 
-static void order(void) { control_order(&control, &hal, &orders); }
+/* Each order to swim comes with a record for the monitor. */
+static void order(void) {
+    static uint8_t record[RECORD_MAX_BYTES];
+    params_t params;
+    params_reset(&params);
+    if (orders.swim) {
+        control_offer(&control, record, record_encode_params(&params, record));
+    }
+    control_order(&control, &hal, &orders);
+}
 
 static uint16_t last_pulse(void) { return hal.pulses[hal.pulse_count - 1]; }
 
@@ -243,6 +253,7 @@ static void a_stop_shorter_than_a_tick_is_seen(void) {
     orders.swim = false;
     order();
     orders.swim = true;
+    orders.trial++;
     order();
     TEST_ASSERT_EQUAL_INT(GAIT_COAST, tick().gait.mode);
     const control_report_t report = ticks(COAST_FRAMES + 1);
@@ -312,6 +323,67 @@ static void a_late_tick_stops_the_swim(void) {
     TEST_ASSERT_EQUAL_INT(FAULT_LATE_TICK, report.stop);
     TEST_ASSERT_EQUAL_UINT32(1, report.late_ticks);
     TEST_ASSERT_EQUAL_UINT32(1, tick_after(100000).late_ticks);
+}
+
+/* Swims again, the tail off since long; what the monitor makes of it. */
+static void expect_no_pulse_again(void) {
+    const uint32_t frame = (uint32_t)hal.pulse_count;
+    orders.swim = true;
+    order();
+    TEST_ASSERT_EQUAL_INT(FAULT_MONITOR, tick().stop);
+    ticks(SWIM_FRAMES);
+    TEST_ASSERT_EQUAL_UINT32(0, count_from(frame));
+    orders.swim = false;
+    order();
+    TEST_ASSERT_EQUAL_INT(FAULT_NONE, tick().stop);
+}
+
+static void the_monitor_lets_nobody_swim_a_trial_twice(void) {
+    order();
+    ticks(70);
+    orders.swim = false;
+    order();
+    ticks(COAST_FRAMES + 1);
+    expect_no_pulse_again();
+    orders.trial--;
+    expect_no_pulse_again();
+    orders.trial += 2;
+    orders.swim = true;
+    order();
+    TEST_ASSERT_EQUAL_INT(FAULT_NONE, ticks(70).stop);
+    TEST_ASSERT_NOT_EQUAL(0, last_pulse());
+}
+
+static void without_a_record_there_is_no_pulse(void) {
+    control_order(&control, &hal, &orders);
+    const control_report_t report = tick();
+    TEST_ASSERT_EQUAL_INT(FAULT_MONITOR, report.stop);
+    TEST_ASSERT_EQUAL_UINT16(0, report.gait.pulse_ticks);
+    ticks(SWIM_FRAMES);
+    TEST_ASSERT_EQUAL_UINT32(0, count_from(0));
+    control_stop(&control, &hal);
+    order();
+    control_stop(&control, &hal); /* which forgets the record as well */
+    control_order(&control, &hal, &orders);
+    TEST_ASSERT_EQUAL_INT(FAULT_MONITOR, ticks(2).stop);
+}
+
+/* As if RAM had changed after the start. */
+static void a_pulse_beyond_the_stored_limits_is_the_last(void) {
+    order();
+    ticks(70);
+    control.config.servo.centre_us = 2090.0f;
+    control.config.servo.max_us = 2400.0f;
+    const uint32_t frame = (uint32_t)hal.pulse_count;
+    const control_report_t report = ticks(50);
+    TEST_ASSERT_EQUAL_INT(FAULT_MONITOR, report.stop);
+    TEST_ASSERT_EQUAL_UINT16(0, report.gait.pulse_ticks);
+    for (size_t i = frame; i < hal.pulse_count; i++) {
+        TEST_ASSERT_LESS_OR_EQUAL_UINT16(6300, hal.pulses[i]);
+    }
+    TEST_ASSERT_EQUAL_UINT16(0, last_pulse());
+    ticks(SWIM_FRAMES);
+    TEST_ASSERT_EQUAL_UINT16(0, last_pulse());
 }
 
 static void before_and_after_the_swim_no_tick_is_late(void) {
@@ -524,6 +596,9 @@ int main(void) {
     RUN_TEST(a_battery_that_was_critical_before_the_swim_gives_no_pulse);
     RUN_TEST(no_beats_are_no_swim);
     RUN_TEST(a_late_tick_stops_the_swim);
+    RUN_TEST(the_monitor_lets_nobody_swim_a_trial_twice);
+    RUN_TEST(without_a_record_there_is_no_pulse);
+    RUN_TEST(a_pulse_beyond_the_stored_limits_is_the_last);
     RUN_TEST(before_and_after_the_swim_no_tick_is_late);
     RUN_TEST(silence_is_judged_by_the_orders_times);
     RUN_TEST(the_gait_stays_as_it_began);

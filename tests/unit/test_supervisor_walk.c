@@ -218,6 +218,7 @@ static void begin_walk(void) {
     fixture_reset();
     memset(&world, 0, sizeof world);
     memset(&model, 0, sizeof model);
+    params_reset(&model.saved_params);
     world.random = seed * 0x9E3779B97F4A7C15ull + 1u;
     mend_board();
     boot(HAL_RESET_POWER);

@@ -60,6 +60,19 @@ static bool servo_contradicts(void) {
     return !(low < centre && centre < high) || value_of(PARAM_SERVO_DIR) == 0.0f;
 }
 
+static float slew_of(const params_t *params) {
+    const float slew_rad_s = params->value[PARAM_SERVO_SLEW_RAD_S];
+    return slew_rad_s > 0.0f ? slew_rad_s : INFINITY;
+}
+
+/* What the monitor would not let out. */
+static bool wider_than_saved(void) {
+    const params_t *saved = &model.saved_params;
+    return value_of(PARAM_SERVO_MIN_US) < saved->value[PARAM_SERVO_MIN_US] ||
+           value_of(PARAM_SERVO_MAX_US) > saved->value[PARAM_SERVO_MAX_US] ||
+           slew_of(&app.params) > slew_of(saved);
+}
+
 static fault_t arm(host_t host) {
     guards_t guards = {0};
     const bool again = model.state == STATE_ARMED;
@@ -73,6 +86,7 @@ static fault_t arm(host_t host) {
         guard(&guards, 2.0f * value_of(PARAM_ILC_Q_LEN) - 1.0f > (float)model.beats, FAULT_BAD_LAW);
         guard(&guards, value_of(PARAM_ILC_LEAD) >= (float)model.beats, FAULT_BAD_LAW);
         guard(&guards, battery_too_low(), FAULT_BATTERY_LOW);
+        guard(&guards, wider_than_saved(), FAULT_SERVO_UNSAVED);
     }
     const fault_t answer = send(host, (link_command_t){.id = LINK_COMMAND_ARM});
     judge(&guards, answer);
@@ -262,10 +276,14 @@ static void change_all_params(void) {
                                     LINK_COMMAND_PARAMS_RESET, LINK_COMMAND_PARAMS_RESET};
     guards_t guards = {0};
     guard(&guards, model.state != STATE_IDLE, FAULT_WRONG_STATE);
-    const fault_t answer = send(any_host(), (link_command_t){.id = id[draw(4)]});
+    const link_command_id_t chosen = id[draw(4)];
+    const fault_t answer = send(any_host(), (link_command_t){.id = chosen});
     judge(&guards, answer);
     if (answer == FAULT_NONE) {
         model.params = app.params;
+    }
+    if (answer == FAULT_NONE && chosen == LINK_COMMAND_PARAMS_SAVE) {
+        model.saved_params = app.params;
     }
     compare_state();
 }

@@ -67,7 +67,7 @@ static struct {
     uint32_t overdue_passes;
     uint64_t reboot_us; /* 0 = not asked for */
     bool flash_fails, flash_hurt;
-    params_t params;
+    params_t params, saved_params;
 } model;
 
 static struct {

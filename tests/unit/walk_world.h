@@ -100,6 +100,7 @@ static void start_world(hal_reset_cause_t cause) {
         hal.rx[port].head = hal.rx[port].tail = 0;
     }
     world.resets = hal.resets;
+    mock_reset_guarded(&hal);
 }
 
 static state_t state_after_boot(hal_reset_cause_t cause, bool crashed, fault_t *reason) {
@@ -134,9 +135,11 @@ static void boot(hal_reset_cause_t cause) {
     const uint32_t last_started = model.last_started, next_seen = model.next_seen;
     const bool fails = model.flash_fails, hurt = model.flash_hurt;
     const float beat_s = model.beat_s;
+    const params_t saved_params = model.saved_params;
     memset(&model, 0, sizeof model);
     model.beats = beats;
     model.beat_s = beat_s;
+    model.saved_params = saved_params;
     model.last_started = last_started;
     model.next_seen = next_seen;
     model.flash_fails = fails;

@@ -15,8 +15,10 @@ typedef enum {
     HAL_SERVO_COUNT
 } hal_servo_t;
 
-/* Width of |servo|'s pulses from the next frame on; 0 = no pulses (servo limp). The board calls
- * app_tick_isr() once per frame and the tick calls this at most once per servo. Interrupt context.
+/* Width of |servo|'s pulses from the next frame on; 0 = no pulses (servo limp), and the pin is not
+ * the PWM's. The board calls app_tick_isr() once per frame and the tick calls this at most once per
+ * servo. Interrupt context. The tail's belongs to the monitor: nothing but what it answers goes
+ * here.
  */
 void hal_servo_pulse_isr(hal_t *hal, hal_servo_t servo, uint16_t width_ticks);
 

@@ -77,8 +77,15 @@ REGISTER_AT(mpu_registers_t, RASR, 0x10);
 #define MPU_CTRL_ENABLE 0x00000001u
 #define MPU_CTRL_PRIVDEFENA 0x00000004u
 
+#define MPU_RBAR_VALID 0x00000010u /* with it the lowest bits select the region, too */
+
 #define MPU_RASR_ENABLE 0x00000001u
 #define MPU_RASR_SIZE 0x0000003Eu /* 2^(SIZE + 1) bytes */
+#define MPU_RASR_C 0x00020000u    /* with S: memory inside the chip */
+#define MPU_RASR_S 0x00040000u
+#define MPU_RASR_AP 0x07000000u
+#define MPU_RASR_AP_PRIVILEGED FIELD(MPU_RASR_AP, 1)
+#define MPU_RASR_AP_READ_ONLY FIELD(MPU_RASR_AP, 5)
 #define MPU_RASR_XN 0x10000000u
 
 static inline void cpu_wait_for_interrupt(void) { __asm__ volatile("dsb\n\twfi" ::: "memory"); }

@@ -8,6 +8,7 @@
 #define ID_USART0 17u
 #define ID_USART1 18u
 #define ID_TC0 27u
+#define ID_TC1 28u
 #define ID_PWM 36u
 #define ID_ADC 37u
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mmap
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,7 @@ from vboard.chip import RESET_USER, Chip
 from vboard.core.bus import Bus, Peripheral, Soc
 from vboard.core.clock import TICKS_PER_S, Clock
 from vboard.core.cpu import Cpu
-from vboard.core.memory import BANK_SIZE, FLASH_SIZE
+from vboard.core.memory import BANK_SIZE, FLASH_SIZE, private_memory
 from vboard.core.nvic import PrivateBus
 from vboard.image import load
 from vboard.native.chip import NativeChip
@@ -53,7 +52,7 @@ class Board:
         self.image = load(image)
         self.native = native_unless(native)
         self.clock: Clock = NativeClock() if self.native else Clock()
-        cells = mmap.mmap(-1, FLASH_SIZE)
+        cells = private_memory(FLASH_SIZE)
         cells[:] = self.image.flash.ljust(FLASH_SIZE, b"\xff")
         self.flash = Flash(cells)
         if bank1 is not None:

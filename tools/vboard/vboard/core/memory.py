@@ -27,7 +27,7 @@ class Memory:
 
     def __init__(self, flash: Buffer, seed: int) -> None:
         self.flash = flash
-        self.ram = mmap.mmap(-1, RAM_SIZE)
+        self.ram = private_memory(RAM_SIZE)
         self.ram[:] = random.Random(seed).randbytes(RAM_SIZE)
         self._hosts = [_host_address(buffer) for buffer in (self.flash, self.ram)]
 
@@ -70,6 +70,13 @@ class Memory:
     def word(self, address: int) -> int:
         """A 32-bit word. Raises BusViolation outside flash and RAM."""
         return int.from_bytes(self.read(address, 4), "little")
+
+
+def private_memory(size: int) -> mmap.mmap:
+    """Zeros on a page boundary. After a fork both processes have their own: a run may be continued
+    in many ways from one point on."""
+    flags = {"flags": mmap.MAP_PRIVATE} if hasattr(mmap, "MAP_PRIVATE") else {}
+    return mmap.mmap(-1, size, **flags)
 
 
 def is_flash(address: int) -> bool:
