@@ -184,8 +184,8 @@ def test_folders_that_have_circles_left(tree: Path) -> None:
 @pytest.mark.parametrize("name", ["hal_servo_pulse_isr", "hal_guard_open_isr", "monitor_tick_isr"])
 def test_only_the_tick_reaches_the_servo(tree: Path, name: str) -> None:
     write(tree, "firmware/app/control.c", f"void tick(void) {{ {name}(0); }}\n")
-    assert check(tree).returncode == 0
+    assert check_tree(tree).returncode == 0
     write(tree, "firmware/app/app.c", f"void other(void) {{ {name}(0); }}\n")
-    done = check(tree)
+    done = check_tree(tree)
     assert done.returncode == 1
     assert f"only control.c may call {name}()" in done.stdout

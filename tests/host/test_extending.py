@@ -139,7 +139,8 @@ def test_a_servo(extended: Path, tmp_path: Path) -> None:
     (tmp_path / "rudder.c").write_text(RUDDER)
     folders = [f"-I{extended / name}" for name in ("firmware", "hal/include", "hal/mock")]
     modules = ["trial/control.c", "blink/blink.c", "gait/gait.c", "gait/servo.c", "base/real.c"]
-    modules += ["supervisor/stop_rules.c", "supervisor/battery.c"]
+    modules += ["supervisor/stop_rules.c", "supervisor/battery.c", "monitor/monitor.c"]
+    modules += ["params/params.c", "base/crc.c"]
     sources = ["rudder.c", f"{extended}/hal/mock/mock_hal.c"]
     sources += [f"{extended}/firmware/{name}" for name in modules]
     options = ["-std=c11", "-Wall", "-Werror", *folders]
