@@ -140,7 +140,8 @@ def test_a_servo(extended: Path, tmp_path: Path) -> None:
     folders = [f"-I{extended / name}" for name in ("firmware", "hal/include", "hal/mock")]
     modules = ["trial/control.c", "blink/blink.c", "gait/gait.c", "gait/servo.c", "base/real.c"]
     modules += ["supervisor/stop_rules.c", "supervisor/battery.c", "monitor/monitor.c"]
-    modules += ["params/params.c", "base/crc.c"]
+    modules += ["params/params.c", "base/crc.c", "store/records.c", "ilc/judge.c"]
+    modules += ["ilc/number.c", "speed/source.c"]
     sources = ["rudder.c", f"{extended}/hal/mock/mock_hal.c"]
     sources += [f"{extended}/firmware/{name}" for name in modules]
     options = ["-std=c11", "-Wall", "-Werror", *folders]
@@ -155,6 +156,7 @@ def test_a_servo(extended: Path, tmp_path: Path) -> None:
 RUDDER = """
 #include "trial/control.h"
 #include "mock_hal.h"
+#include "store/records.h"
 #include <stdio.h>
 
 static hal_t hal;
@@ -173,8 +175,12 @@ int main(void) {
     mock_hal_init(&hal);
     control_init(&control);
     tick_and_print(1);
+    static uint8_t record[RECORD_MAX_BYTES];
+    params_t params;
+    params_reset(&params);
+    control_offer(&control, record, record_encode_params(&params, record));
     const control_orders_t orders = {
-        .swim = true, .beats = 1, .amplitude_rad = amplitude_rad, .rudder_rad = 0.2f,
+        .swim = true, .trial = 1, .beats = 1, .amplitude_rad = amplitude_rad, .rudder_rad = 0.2f,
         .gait = {.servo = {.centre_us = 1500.0f, .us_per_rad = 573.0f, .min_us = 900.0f,
                            .max_us = 2100.0f, .direction = 1.0f},
                  .frames_per_beat = 50, .coast_frames = 25}};
