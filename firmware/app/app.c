@@ -135,8 +135,8 @@ static void tell_problem(app_t *app) {
     app->told_problem = problem;
     if (problem != IMU_PROBLEM_STARTING) {
         const bool well = problem == IMU_PROBLEM_NONE;
-        link_text(&app->link, well ? MAV_SEVERITY_INFO : MAV_SEVERITY_WARNING,
-                  imu_problem_meaning(problem));
+        outbox_text(&app->link.outbox, well ? MAV_SEVERITY_INFO : MAV_SEVERITY_WARNING,
+                    imu_problem_meaning(problem));
     }
 }
 
@@ -204,6 +204,7 @@ void app_refresh_status(app_t *app) {
         .beat = swimming ? (uint16_t)report.gait.beat : app->executed,
         .battery = app_battery(app),
         .memory = &app->memory,
+        .learned = &app->learned,
         .angle_rad = report.gait.angle_rad,
         .amplitude_rad = swimming ? app->run.trial.amplitude_rad[app->executed] : 0.0f,
         .speed_m_s = speed_known ? app->live_speed_m_s : NAN,
@@ -222,7 +223,8 @@ static void tell_battery(app_t *app) {
     if (app->status.battery.at_limit &&
         battery_tells_limit(&app->battery, &app->status.battery,
                             settings_battery_low_mv(&app->params))) {
-        link_text(&app->link, MAV_SEVERITY_WARNING, fault_info(FAULT_BATTERY_SENSE)->meaning);
+        outbox_text(&app->link.outbox, MAV_SEVERITY_WARNING,
+                    fault_info(FAULT_BATTERY_SENSE)->meaning);
     }
 }
 

@@ -71,6 +71,7 @@ typedef struct {
     control_t control;
     link_t link;
     link_status_t status;
+    link_learn_report_t learned; /* the last one */
 
     float error_m_s[BEATS_MAX];
     uint8_t measured[BEATS_MAX];

@@ -31,7 +31,7 @@ static fault_t write_record(app_t *app, const key_record_t *record) {
 
 /* Flash first: nothing is believed beyond what is stored. */
 static fault_t store_mark(app_t *app, uint64_t mark) {
-    signing_t *signing = &app->link.signing;
+    signing_t *signing = &app->link.outbox.signing;
     key_record_t record = {.set = true, .mark = mark};
     memcpy(record.key, signing->out.secret_key, sizeof record.key);
     const fault_t fault = write_record(app, &record);
@@ -47,11 +47,11 @@ bool key_load(app_t *app) {
         return true; /* no reference either: without storage nothing swims */
     }
     if (!read_record(app, &record)) {
-        signing_lock(&app->link.signing);
+        signing_lock(&app->link.outbox.signing);
         return false;
     }
     if (record.set) {
-        signing_set_key(&app->link.signing, record.key, record.mark, hal_time_us(app->hal));
+        signing_set_key(&app->link.outbox.signing, record.key, record.mark, hal_time_us(app->hal));
         (void)key_reserve(app, 0.0f); /* until it can be stored nobody is believed */
     }
     return true;
@@ -73,13 +73,13 @@ static fault_t erase(app_t *app, uint64_t mark) {
                                      signing_later(mark, 1)}; /* newer than any copy with a key */
     const fault_t fault = write_record(app, &record);
     if (fault == FAULT_NONE) {
-        signing_clear_key(&app->link.signing);
+        signing_clear_key(&app->link.outbox.signing);
     }
     return fault;
 }
 
 static fault_t replace(app_t *app, const uint8_t *key, uint64_t clock) {
-    signing_t *signing = &app->link.signing;
+    signing_t *signing = &app->link.outbox.signing;
     key_record_t record = {.set = true, .mark = signing_later(clock, SIGNING_RESERVE_TICKS)};
     memcpy(record.key, key, sizeof record.key);
     const fault_t fault = write_record(app, &record);
@@ -97,7 +97,7 @@ fault_t key_set(void *context, const uint8_t *key, uint64_t time) {
     }
     key_record_t record;
     /* The mark of one that cannot be read is lost: |time| has to do. */
-    const uint64_t mark = read_record(app, &record) ? record.mark : app->link.signing.mark;
+    const uint64_t mark = read_record(app, &record) ? record.mark : app->link.outbox.signing.mark;
     if (key == NULL) {
         return app_judge_write(app, erase(app, mark));
     }
@@ -110,7 +110,7 @@ fault_t key_set(void *context, const uint8_t *key, uint64_t time) {
 fault_t key_reserve(app_t *app, float ahead_s) {
     const uint64_t ahead = real_whole_u64(ahead_s * (float)SIGNING_TICKS_PER_S);
     uint64_t mark = 0;
-    return signing_wants_mark(&app->link.signing, hal_time_us(app->hal), ahead, &mark)
+    return signing_wants_mark(&app->link.outbox.signing, hal_time_us(app->hal), ahead, &mark)
                ? store_mark(app, mark)
                : FAULT_NONE;
 }
@@ -137,7 +137,7 @@ static bool is_piece(const uint8_t *key, const uint8_t *bytes) {
 }
 
 void key_hide(const app_t *app, uint8_t *bytes, size_t length) {
-    const signing_t *signing = &app->link.signing;
+    const signing_t *signing = &app->link.outbox.signing;
     size_t hidden = 0; /* up to here all is a piece */
     for (size_t i = 0; signing->keyed && i < length; i++) {
         if (i + WORD_BYTES <= length && is_piece(signing->out.secret_key, bytes + i)) {

@@ -41,13 +41,12 @@ static fault_t refusal(law_result_t result) {
 static void report_learned(app_t *app, uint32_t trial, uint16_t iteration,
                            const memory_report_t *report) {
     const bool has_best = app->memory.best_iteration != 0;
-    const link_learn_report_t message = {
-        .trial = trial,
-        .iteration = iteration,
-        .report = *report,
-        .best_max_abs_error_m_s = has_best ? app->memory.best_max_abs_error_m_s : NAN,
-    };
-    link_learned(&app->link, &message);
+    link_learn_report_t *learned = &app->learned;
+    learned->trial = trial;
+    learned->iteration = iteration;
+    learned->report = *report;
+    learned->best_max_abs_error_m_s = has_best ? app->memory.best_max_abs_error_m_s : NAN;
+    link_learned(&app->link.outbox, learned);
 }
 
 static law_result_t learn_from(app_t *app, const law_t *law, past_view_t *view, law_trial_t *errors,
@@ -96,7 +95,8 @@ static fault_t learn_pending(app_t *app) {
     app->run.pending =
         false; /* its file stays, for the next trial to replace: /learned.bin tells */
     if (view.shortened && !report.rolled_back) {
-        link_text(&app->link, MAV_SEVERITY_NOTICE, "earlier trials are missing in the average");
+        outbox_text(&app->link.outbox, MAV_SEVERITY_NOTICE,
+                    "earlier trials are missing in the average");
     }
     report_learned(app, trial->number, trial->iteration, &report);
     return FAULT_NONE;

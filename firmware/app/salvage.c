@@ -46,7 +46,7 @@ static void tell(app_t *app, const char *what, critical_t kind) {
     char text[8u + STORE_PATH_BYTES];
     strcpy(text, what);
     strcat(text, critical_path(kind));
-    link_text(&app->link, MAV_SEVERITY_WARNING, text);
+    outbox_text(&app->link.outbox, MAV_SEVERITY_WARNING, text);
 }
 
 static bool is_known(const salvage_t *salvage, critical_t kind) {
@@ -324,7 +324,8 @@ store_result_t salvage_mount(app_t *app, fault_t *fault) {
     if (result != STORE_OK) {
         if (salvage.key_set || salvage.key_damaged ||
             kept_key(app, &salvage) == RECORD_KEY_MAX_BYTES) {
-            signing_lock(&app->link.signing); /* there is a key, but nowhere to keep its mark */
+            /* There is a key, but nowhere to keep its mark. */
+            signing_lock(&app->link.outbox.signing);
         }
         *fault = FAULT_NONE;
         forget_scratch(app);

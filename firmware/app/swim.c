@@ -90,7 +90,7 @@ fault_t swim_arm(app_t *app, const link_command_t *command) {
         app->guess_tried = app->guess_stored = app->memory.input != MEMORY_INPUT_FIRST;
         (void)supervisor_event(&app->supervisor, EVENT_ARM, FAULT_NONE);
     } else if (!is_by_armer(app, command)) {
-        link_text(&app->link, MAV_SEVERITY_NOTICE, "another host has taken the fish over");
+        outbox_text(&app->link.outbox, MAV_SEVERITY_NOTICE, "another host has taken the fish over");
     }
     app->armed_port = command->port;
     app->armed_system = command->system;
@@ -280,7 +280,7 @@ void swim_stop(app_t *app, fault_t asked) {
     if (app->run.open && app->run.start_us != 0 && app->run.stage != TRIAL_RUN_ENDED) {
         trial_log_text(&app->run.log, now_us, fault_info(reason)->name);
     }
-    link_text(&app->link, MAV_SEVERITY_WARNING, fault_info(reason)->meaning);
+    outbox_text(&app->link.outbox, MAV_SEVERITY_WARNING, fault_info(reason)->meaning);
 }
 
 static void tell_beat(app_t *app, const trial_run_beat_t *beat) {
@@ -293,7 +293,7 @@ static void tell_beat(app_t *app, const trial_run_beat_t *beat) {
         .saturated = beat->amplitude_rad > beat->applied_rad,
         .provisional = beat->provisional,
     };
-    link_beat(&app->link, &message);
+    link_beat(&app->link.outbox, &message);
 }
 
 /* Not what the IMU alone says: that is worth nothing until the rest after the swim. */
@@ -345,7 +345,7 @@ static void tell_refusal(app_t *app, uint64_t now_us) {
         stop_rules_trusted_beats((fault_t)app->run.trial.end, app->run.told, app->run.guard_beats);
     if (needs_rest(app) && trusted > 0 && app->run.measured == 0) {
         const fault_t why = rested ? FAULT_RESTS_DIFFER : FAULT_NOT_STILL;
-        link_text(&app->link, MAV_SEVERITY_WARNING, fault_info(why)->meaning);
+        outbox_text(&app->link.outbox, MAV_SEVERITY_WARNING, fault_info(why)->meaning);
     }
 }
 
@@ -425,7 +425,8 @@ static void follow_tail(app_t *app, const control_report_t *report, uint64_t now
 static void warn_of_battery(app_t *app, uint64_t now_us) {
     const uint16_t low_mv = settings_battery_low_mv(&app->params);
     if (battery_warns(&app->battery, now_us, app->status.battery.mv, low_mv)) {
-        link_text(&app->link, MAV_SEVERITY_WARNING, "battery low: charge it after this trial");
+        outbox_text(&app->link.outbox, MAV_SEVERITY_WARNING,
+                    "battery low: charge it after this trial");
     }
 }
 
