@@ -83,7 +83,6 @@ OF_TICK = re.compile(r"\b(hal_servo_pulse_isr|hal_guard\w*|monitor_tick_isr)\(")
 
 # Folders that still have circles. A folder without one does not belong here, which is checked.
 CIRCLES_LEFT: tuple[str, ...] = (
-    "firmware/link",
     "firmware/store",
 )
 

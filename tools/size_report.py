@@ -21,7 +21,8 @@ from elftools.elf.elffile import ELFFile
 from stack_depth import EXCEPTION_BYTES, Chain, Facts, StackError, StackReport, measure, symbols
 
 # Of the 256 KB of flash bank 0. 3 KB of it are for ground stations: 2 KB describe the parameters
-# (wire/param_metadata.py), 1 KB answers what they ask (firmware/link/discovery.c, telemetry.c).
+# (wire/param_metadata.py), 1 KB answers what they ask (firmware/link: discovery.c,
+# identity.c, telemetry.c).
 IMAGE_BUDGET_BYTES = 103 * 1024
 RAM_BUDGET_BYTES = 64 * 1024  # of 96 KB
 BIGGEST = 10

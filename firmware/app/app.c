@@ -57,16 +57,16 @@ static void compose(app_t *app) {
         .keyring = &app->keyring,
         .imu = &app->sensor.imu,
         .rest = &app->sensor.rest,
-        .link = &app->link,
+        .outbox = &app->link.outbox,
     };
     supervisor_init(&app->supervisor);
     params_reset(&app->params);
     vault_init(&app->vault, on_long_work, app);
     learner_init(&app->learner, &app->vault, &app->params);
-    sensor_init(&app->sensor, app->hal, &app->link, &app->params);
+    sensor_init(&app->sensor, app->hal, &app->link.outbox, &app->params);
     trial_init(&app->trial, &parts);
     link_init(&app->link, app->hal, &app->vault.store, &app->params, &handlers);
-    keyring_init(&app->keyring, app->hal, &app->vault, &app->link.signing);
+    keyring_init(&app->keyring, app->hal, &app->vault, &app->link.outbox.signing);
 }
 
 void app_init(app_t *app, hal_t *hal) {

@@ -33,7 +33,7 @@ void boot_load_params(app_t *app) {
     }
 }
 
-static void tell_fates(link_t *link, const salvage_report_t *report) {
+static void tell_fates(outbox_t *outbox, const salvage_report_t *report) {
     static const char words[][8] = {
         [SALVAGE_SAVED] = "saved ",
         [SALVAGE_OLDER] = "older ",
@@ -44,7 +44,7 @@ static void tell_fates(link_t *link, const salvage_report_t *report) {
         if (report->fate[kind] != SALVAGE_UNTOUCHED) {
             strcpy(text, words[report->fate[kind]]);
             strcat(text, critical_path((critical_t)kind));
-            link_text(link, MAV_SEVERITY_WARNING, text);
+            outbox_text(outbox, MAV_SEVERITY_WARNING, text);
         }
     }
 }
@@ -83,9 +83,9 @@ static fault_t judge(const app_t *app, store_result_t mounted, bool key_readable
 fault_t boot_load(app_t *app) {
     salvage_report_t lost;
     const store_result_t mounted = salvage_mount(&app->vault, app->hal, &lost);
-    tell_fates(&app->link, &lost);
+    tell_fates(&app->link.outbox, &lost);
     if (lost.lock_key) {
-        signing_lock(&app->link.signing);
+        signing_lock(&app->link.outbox.signing);
     }
     const bool key_readable = keyring_load(&app->keyring); /* first: the crash must not tell it */
     const bool crashed = keep_crash(app);

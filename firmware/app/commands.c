@@ -74,10 +74,11 @@ static fault_t arm(app_t *app, const link_command_t *command) {
     return app->loop.reboot_at_us != 0 ? FAULT_WRONG_STATE : start_arm(&app->trial, command);
 }
 
-static void tell_learned(link_t *link, const learner_t *learner, const trial_record_t *trial,
+static void tell_learned(app_t *app, const trial_record_t *trial,
                          const learner_outcome_t *outcome) {
-    const memory_t *memory = &learner->memory;
-    const link_learn_report_t message = {
+    const memory_t *memory = &app->learner.memory;
+    link_learn_report_t *learned = &app->loop.learned;
+    *learned = (link_learn_report_t){
         .trial = trial->number,
         .iteration = trial->iteration,
         .report = outcome->report,
@@ -85,9 +86,10 @@ static void tell_learned(link_t *link, const learner_t *learner, const trial_rec
             memory->best_iteration != 0 ? memory->best_max_abs_error_m_s : NAN,
     };
     if (outcome->shortened) {
-        link_text(link, MAV_SEVERITY_NOTICE, "earlier trials are missing in the average");
+        outbox_text(&app->link.outbox, MAV_SEVERITY_NOTICE,
+                    "earlier trials are missing in the average");
     }
-    link_learned(link, &message);
+    link_learned(&app->link.outbox, learned);
 }
 
 static fault_t learn_pending(app_t *app) {
@@ -97,7 +99,7 @@ static fault_t learn_pending(app_t *app) {
     const fault_t fault = learner_learn(&app->learner, &run->trial, &outcome);
     if (fault == FAULT_NONE) {
         run->pending = false; /* its file stays, for the next trial to replace: the memory tells */
-        tell_learned(&app->link, &app->learner, &run->trial, &outcome);
+        tell_learned(app, &run->trial, &outcome);
     }
     (void)supervisor_event(&app->supervisor, EVENT_LEARNED, FAULT_NONE);
     return fault;

@@ -20,8 +20,9 @@ typedef struct {
     uint64_t last_poll_us;
     uint64_t last_link_us; /* when the hosts were last listened to */
     uint32_t longest_pause_us;
-    uint64_t reboot_at_us; /* 0 = not asked for */
-    link_status_t status;  /* of this pass, as the hosts are told */
+    uint64_t reboot_at_us;       /* 0 = not asked for */
+    link_status_t status;        /* of this pass, as the hosts are told */
+    link_learn_report_t learned; /* the last one */
 } loop_t;
 
 typedef struct {

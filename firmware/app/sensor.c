@@ -8,10 +8,10 @@
 #define IMU_CHUNKS_PER_POLL 16u /* what is left, the next pass takes */
 #define IMU_ACTIONS_PER_POLL 4u
 
-void sensor_init(sensor_t *sensor, hal_t *hal, link_t *link, const params_t *params) {
+void sensor_init(sensor_t *sensor, hal_t *hal, outbox_t *outbox, const params_t *params) {
     const imu_driver_config_t config = settings_imu(params);
     sensor->hal = hal;
-    sensor->link = link;
+    sensor->outbox = outbox;
     imu_init(&sensor->imu, &config, hal_time_us(hal));
     rest_init(&sensor->rest);
 }
@@ -70,8 +70,8 @@ static void tell_problem(sensor_t *sensor) {
     sensor->told_problem = problem;
     if (problem != IMU_PROBLEM_STARTING) {
         const bool well = problem == IMU_PROBLEM_NONE;
-        link_text(sensor->link, well ? MAV_SEVERITY_INFO : MAV_SEVERITY_WARNING,
-                  imu_problem_meaning(problem));
+        outbox_text(sensor->outbox, well ? MAV_SEVERITY_INFO : MAV_SEVERITY_WARNING,
+                    imu_problem_meaning(problem));
     }
 }
 

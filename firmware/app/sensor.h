@@ -6,13 +6,14 @@
 #define APP_SENSOR_H
 
 #include "imu/imu.h"
-#include "link/link.h"
+#include "link/command.h"
+#include "link/outbox.h"
 #include "params/params.h"
 #include "speed/rest.h"
 
 typedef struct {
     hal_t *hal;
-    link_t *link;
+    outbox_t *outbox;
     imu_t imu;
     rest_t rest;
     imu_problem_t told_problem;
@@ -22,7 +23,7 @@ typedef struct {
 typedef void (*sensor_take_t)(void *context, const imu_sample_t *sample);
 
 /* A zeroed |sensor|, set up as |params| say. */
-void sensor_init(sensor_t *sensor, hal_t *hal, link_t *link, const params_t *params);
+void sensor_init(sensor_t *sensor, hal_t *hal, outbox_t *outbox, const params_t *params);
 
 /* Sets the IMU up anew; false when the board cannot do what |params| say. */
 bool sensor_configure(sensor_t *sensor, const params_t *params);

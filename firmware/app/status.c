@@ -30,6 +30,7 @@ void status_refresh(app_t *app) {
         .beat = swimming ? (uint16_t)report.gait.beat : trial->executed,
         .battery = trial_battery(trial),
         .memory = &app->learner.memory,
+        .learned = &app->loop.learned,
         .angle_rad = report.gait.angle_rad,
         .amplitude_rad = swimming ? run->trial.amplitude_rad[trial->executed] : 0.0f,
         .speed_m_s = live_speed(trial, hal_time_us(app->hal)),

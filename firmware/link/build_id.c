@@ -1,5 +1,5 @@
+#include "link/build_id.h"
 #include "build_id_generated.h"
-#include "link/link.h"
 #include "store/records.h"
 
 _Static_assert(sizeof TAILBEAT_BUILD_ID <= BUILD_ID_BYTES, "fits into its files");

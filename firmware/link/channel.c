@@ -10,13 +10,12 @@
 #define V1_HEADER_BYTES 6u
 #define V2_HEADER_BYTES 10u
 
-void channel_init(channel_t *channel, hal_t *hal, hal_port_t port) {
+void channel_init(channel_t *channel, hal_t *hal, hal_port_t port, signing_t *signing) {
     memset(channel, 0, sizeof *channel);
     channel->hal = hal;
     channel->port = port;
+    channel->signing = signing;
 }
-
-void channel_sign(channel_t *channel, signing_t *signing) { channel->signing = signing; }
 
 static void drop(channel_t *channel, size_t count) {
     channel->held = (uint16_t)(channel->held - count);

@@ -15,6 +15,14 @@
 
 #define NO_SPACE_ERRNO 28u /* ENOSPC */
 
+bool ftp_same_host(ftp_host_t a, ftp_host_t b) {
+    uint32_t bytes_a, bytes_b;
+    _Static_assert(sizeof a == sizeof bytes_a, "no padding, which would differ");
+    memcpy(&bytes_a, &a, sizeof bytes_a);
+    memcpy(&bytes_b, &b, sizeof bytes_b);
+    return bytes_a == bytes_b;
+}
+
 ftp_request_t ftp_decode(const uint8_t *payload, ftp_host_t host) {
     return (ftp_request_t){
         .seq = bytes_get_u16(payload + AT_SEQ),

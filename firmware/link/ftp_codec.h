@@ -2,7 +2,12 @@
 #ifndef LINK_FTP_CODEC_H
 #define LINK_FTP_CODEC_H
 
-#include "link/ftp_server.h"
+#include <stdbool.h>
+#include <stdint.h>
+
+#define FTP_PAYLOAD_BYTES 251u /* of FILE_TRANSFER_PROTOCOL.payload */
+#define FTP_HEADER_BYTES 12u
+#define FTP_DATA_BYTES 239u
 
 typedef enum {
     FTP_OP_NONE = 0,
@@ -33,6 +38,14 @@ typedef enum {
     FTP_PROTECTED = 9,
     FTP_NOT_FOUND = 10
 } ftp_error_t;
+
+/* A sender. |trusted| is part of who it is: nobody touches a session by a borrowed address. */
+typedef struct {
+    uint8_t system, component, port;
+    bool trusted; /* may write, and takes the session from one that is not */
+} ftp_host_t;
+
+bool ftp_same_host(ftp_host_t a, ftp_host_t b);
 
 typedef struct {
     uint16_t seq;

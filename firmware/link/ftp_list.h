@@ -3,6 +3,7 @@
 #define LINK_FTP_LIST_H
 
 #include "link/ftp_codec.h"
+#include "store/store.h"
 
 /* Fills the data of |reply| with as many whole entries as fit, from entry |request->offset| on.
  * FTP_EOF past the last one. Entries of a folder that are not in the tree go out as "S" (skip), so

@@ -1,30 +1,26 @@
-#include "link/link_internal.h"
+#include "link/imu_stream.h"
 
-#include "base/real.h"
+#include "link/interval.h"
 
 #include <string.h>
 
 /* Frames come at 800 Hz at most. */
-#define INTERVAL_MIN_US 1250.0f
-#define INTERVAL_MAX_US 1e7f
+#define INTERVAL_MIN_US 1250u
 
-/* -1 = off, 0 = all of them. */
-bool link_imu_interval(link_t *link, hal_port_t port, float interval_us) {
-    link_imu_stream_t *stream = &link->imu_stream;
-    const bool off = interval_us == -1.0f;
-    const float wanted_us = interval_us == 0.0f ? INTERVAL_MIN_US : interval_us;
-    if (!off && !(wanted_us >= INTERVAL_MIN_US && wanted_us <= INTERVAL_MAX_US)) {
+bool imu_stream_set_interval(imu_stream_t *stream, hal_port_t port, float interval_us) {
+    interval_t interval;
+    if (!interval_read(interval_us, (float)INTERVAL_MIN_US, &interval)) {
         return false;
     }
-    stream->interval_us = off ? 0 : (uint32_t)wanted_us;
+    const uint32_t every_us = interval.us == 0 ? INTERVAL_MIN_US : interval.us;
+    stream->interval_us = interval.off ? 0 : every_us;
     stream->port = (uint8_t)port;
     stream->held = 0;
     stream->next_us = 0;
     return true;
 }
 
-static void send_held(link_t *link, channel_t *channel) {
-    link_imu_stream_t *stream = &link->imu_stream;
+static void send_held(imu_stream_t *stream, channel_t *channel) {
     mavlink_tailbeat_imu_t fields = {.sequence = stream->first, .count = stream->held};
     for (uint32_t i = 0; i < stream->held; i++) {
         const imu_frame_t *frame = &stream->frame[i];
@@ -34,14 +30,13 @@ static void send_held(link_t *link, channel_t *channel) {
         memcpy(&fields.ypr_deg[3u * i], frame->ypr_deg, sizeof frame->ypr_deg);
     }
     stream->held = 0;
-    LINK_SEND(channel, TAILBEAT_IMU, &fields);
+    CHANNEL_SEND(channel, TAILBEAT_IMU, &fields);
 }
 
-void link_imu(link_t *link, const imu_sample_t *sample) {
-    link_imu_stream_t *stream = &link->imu_stream;
+void imu_stream_add(imu_stream_t *stream, const imu_sample_t *sample) {
     const uint32_t number = stream->frames++;
-    channel_t *channel = &link->channel[stream->port];
-    if (stream->interval_us == 0 || !link_heard(link, channel)) {
+    channel_t *channel = &stream->outbox->channel[stream->port];
+    if (stream->interval_us == 0 || !outbox_heard(stream->outbox, channel)) {
         stream->interval_us = 0;
         return;
     }
@@ -55,7 +50,7 @@ void link_imu(link_t *link, const imu_sample_t *sample) {
     }
     stream->time_us[stream->held] = (uint32_t)sample->time_us;
     stream->frame[stream->held++] = sample->frame;
-    if (stream->held == LINK_IMU_FRAMES) {
-        send_held(link, channel);
+    if (stream->held == IMU_STREAM_FRAMES) {
+        send_held(stream, channel);
     }
 }

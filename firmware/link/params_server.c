@@ -1,6 +1,7 @@
-#include "link/link_internal.h"
+#include "link/params_server.h"
 
 #include "base/real.h"
+#include "link/trust.h"
 
 #include <string.h>
 
@@ -14,15 +15,26 @@ static void put_name(param_t param, char out[PARAM_NAME_BYTES]) {
     }
 }
 
-static void send_value(const link_t *link, channel_t *channel, param_t param) {
+static mavlink_param_value_t value_of(const params_server_t *server, param_t param) {
     mavlink_param_value_t fields = {
-        .param_value = link->params->value[param],
+        .param_value = server->params->value[param],
         .param_count = PARAM_COUNT,
         .param_index = (uint16_t)param,
         .param_type = MAV_PARAM_TYPE_REAL32,
     };
     put_name(param, fields.param_id);
-    LINK_SEND(channel, PARAM_VALUE, &fields);
+    return fields;
+}
+
+static void send_value(const params_server_t *server, channel_t *channel, param_t param) {
+    const mavlink_param_value_t fields = value_of(server, param);
+    CHANNEL_SEND(channel, PARAM_VALUE, &fields);
+}
+
+/* A new value concerns every host. */
+static void announce(const params_server_t *server, param_t param) {
+    const mavlink_param_value_t fields = value_of(server, param);
+    OUTBOX_SEND(server->outbox, PARAM_VALUE, &fields);
 }
 
 /* Which parameter a host spoke of, as it named it. */
@@ -31,7 +43,7 @@ typedef struct {
     int16_t index;
 } named_t;
 
-static void send_error(const link_received_t *in, const named_t *named, uint8_t error) {
+static void send_error(const received_t *in, const named_t *named, uint8_t error) {
     mavlink_param_error_t fields = {
         .param_index = named->index,
         .target_system = in->message->sysid,
@@ -39,7 +51,7 @@ static void send_error(const link_received_t *in, const named_t *named, uint8_t 
         .error = error,
     };
     memcpy(fields.param_id, named->name, sizeof fields.param_id);
-    LINK_SEND(in->channel, PARAM_ERROR, &fields);
+    CHANNEL_SEND(in->channel, PARAM_ERROR, &fields);
 }
 
 /* An old name is refused with the new one: "LAW_GAIN is now ILC_GAIN". */
@@ -52,54 +64,54 @@ static bool send_new_name(channel_t *channel, const char old_name[PARAM_NAME_BYT
     strncat(text, old_name, PARAM_NAME_BYTES);
     strcat(text, IS_NOW);
     strncat(text, param_info(param)->name, PARAM_NAME_BYTES);
-    link_send_text(channel, MAV_SEVERITY_WARNING, text);
+    outbox_text_to(channel, MAV_SEVERITY_WARNING, text);
     return true;
 }
 
-void link_on_param_request_list(link_t *link, const link_received_t *in) {
-    mavlink_param_request_list_t request;
-    mavlink_msg_param_request_list_decode(in->message, &request);
-    if (link_addressed(request.target_system, request.target_component)) {
-        link->param_stream_next[in->channel->port] = 0;
+void params_server_on_request_list(params_server_t *server, const received_t *in) {
+    const mavlink_message_t *message = in->message;
+    if (received_is_ours(mavlink_msg_param_request_list_get_target_system(message),
+                         mavlink_msg_param_request_list_get_target_component(message))) {
+        server->left[in->channel->port] = PARAM_COUNT;
     }
 }
 
-static void stream_to(link_t *link, channel_t *channel) {
-    const size_t needed = LINK_FRAME_BYTES + MAVLINK_MSG_ID_PARAM_VALUE_LEN + LINK_RESERVE_BYTES;
-    uint16_t *next = &link->param_stream_next[channel->port];
+static void stream_to(params_server_t *server, channel_t *channel) {
+    const size_t needed =
+        CHANNEL_FRAME_BYTES + MAVLINK_MSG_ID_PARAM_VALUE_LEN + CHANNEL_RESERVE_BYTES;
+    uint16_t *left = &server->left[channel->port];
     for (uint32_t i = 0; i < PARAMS_PER_POLL; i++) {
-        if (*next >= PARAM_COUNT || !channel_has_space(channel, needed)) {
+        if (*left == 0 || !channel_has_space(channel, needed)) {
             return;
         }
-        send_value(link, channel, (param_t)*next);
-        (*next)++;
+        send_value(server, channel, (param_t)(PARAM_COUNT - *left));
+        (*left)--;
     }
 }
 
-void link_stream_params(link_t *link) {
-    for (uint32_t i = 0; i < LINK_PORTS; i++) {
-        stream_to(link, &link->channel[i]);
+void params_server_stream(params_server_t *server) {
+    for (uint32_t i = 0; i < OUTBOX_PORTS; i++) {
+        stream_to(server, &server->outbox->channel[i]);
     }
 }
 
-void link_on_param_request_read(link_t *link, const link_received_t *in) {
-    mavlink_param_request_read_t request;
-    mavlink_msg_param_request_read_decode(in->message, &request);
-    if (!link_addressed(request.target_system, request.target_component)) {
+void params_server_on_request_read(const params_server_t *server, const received_t *in) {
+    const mavlink_message_t *message = in->message;
+    if (!received_is_ours(mavlink_msg_param_request_read_get_target_system(message),
+                          mavlink_msg_param_request_read_get_target_component(message))) {
         return;
     }
-    const bool by_name = request.param_index == -1;
-    const int32_t param =
-        by_name ? (int32_t)param_find(request.param_id) : (int32_t)request.param_index;
+    named_t named = {.index = mavlink_msg_param_request_read_get_param_index(message)};
+    (void)mavlink_msg_param_request_read_get_param_id(message, named.name);
+    const bool by_name = named.index == -1;
+    const int32_t param = by_name ? (int32_t)param_find(named.name) : (int32_t)named.index;
     if (param >= 0 && param < (int32_t)PARAM_COUNT) {
-        send_value(link, in->channel, (param_t)param);
+        send_value(server, in->channel, (param_t)param);
         return;
     }
-    named_t named = {.index = request.param_index};
-    memcpy(named.name, request.param_id, sizeof named.name);
     send_error(in, &named, MAV_PARAM_ERROR_DOES_NOT_EXIST);
     if (by_name) {
-        (void)send_new_name(in->channel, request.param_id);
+        (void)send_new_name(in->channel, named.name);
     }
 }
 
@@ -108,44 +120,44 @@ static uint8_t param_error(fault_t fault) {
                                       : MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE;
 }
 
-/* A new value concerns every host. */
-static void announce(link_t *link, param_t param) {
-    for (uint32_t i = 0; i < LINK_PORTS; i++) {
-        if (link_heard(link, &link->channel[i])) {
-            send_value(link, &link->channel[i], param);
-        }
-    }
+/* Asks the application; a value that is not finite is refused without it. */
+static fault_t set_value(const params_server_t *server, param_t param, float value) {
+    const link_handlers_t *handlers = server->handlers;
+    return real_is_finite(value) ? handlers->param_set(handlers->context, param, value)
+                                 : FAULT_BAD_PARAM;
 }
 
-void link_on_param_set(link_t *link, const link_received_t *in) {
-    mavlink_param_set_t request;
-    mavlink_msg_param_set_decode(in->message, &request);
-    if (!link_addressed(request.target_system, request.target_component)) {
+static void set(const params_server_t *server, const received_t *in, const named_t *named) {
+    const param_t param = param_find(named->name);
+    if (param == PARAM_COUNT) {
+        send_error(in, named, MAV_PARAM_ERROR_DOES_NOT_EXIST);
+        if (!send_new_name(in->channel, named->name)) {
+            outbox_warn(in->channel, FAULT_BAD_PARAM);
+        }
+        return;
+    }
+    const fault_t fault =
+        set_value(server, param, mavlink_msg_param_set_get_param_value(in->message));
+    if (fault == FAULT_NONE) {
+        announce(server, param);
+        return;
+    }
+    send_error(in, named, param_error(fault));
+    send_value(server, in->channel, param);
+    outbox_warn(in->channel, fault);
+}
+
+void params_server_on_set(const params_server_t *server, const received_t *in) {
+    const mavlink_message_t *message = in->message;
+    if (!received_is_ours(mavlink_msg_param_set_get_target_system(message),
+                          mavlink_msg_param_set_get_target_component(message))) {
         return;
     }
     named_t named = {.index = -1};
-    memcpy(named.name, request.param_id, sizeof named.name);
-    if (link_refusal(link, in) != FAULT_NONE) {
+    (void)mavlink_msg_param_set_get_param_id(message, named.name);
+    if (trust_refusal(server->outbox, in) != FAULT_NONE) {
         send_error(in, &named, MAV_PARAM_ERROR_PERMISSION_DENIED);
-        return;
+    } else {
+        set(server, in, &named);
     }
-    const param_t param = param_find(request.param_id);
-    if (param == PARAM_COUNT) {
-        send_error(in, &named, MAV_PARAM_ERROR_DOES_NOT_EXIST);
-        if (!send_new_name(in->channel, request.param_id)) {
-            link_send_text(in->channel, MAV_SEVERITY_WARNING, fault_info(FAULT_BAD_PARAM)->meaning);
-        }
-        return;
-    }
-    fault_t fault = FAULT_BAD_PARAM;
-    if (real_is_finite(request.param_value)) {
-        fault = link->handlers.param_set(link->handlers.context, param, request.param_value);
-    }
-    if (fault == FAULT_NONE) {
-        announce(link, param);
-        return;
-    }
-    send_error(in, &named, param_error(fault));
-    send_value(link, in->channel, param);
-    link_send_text(in->channel, MAV_SEVERITY_WARNING, fault_info(fault)->meaning);
 }

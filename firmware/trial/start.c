@@ -90,7 +90,8 @@ fault_t start_arm(trial_t *trial, const link_command_t *command) {
         preparation_begin(&trial->preparation);
         (void)supervisor_event(trial->with.supervisor, EVENT_ARM, FAULT_NONE);
     } else if (!is_by_armer(trial, command)) {
-        link_text(trial->with.link, MAV_SEVERITY_NOTICE, "another host has taken the fish over");
+        outbox_text(trial->with.outbox, MAV_SEVERITY_NOTICE,
+                    "another host has taken the fish over");
     }
     const uint64_t now_us = hal_time_us(trial->with.hal);
     trial->host = (trial_host_t){command->port, command->system, now_us};

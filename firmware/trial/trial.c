@@ -3,6 +3,8 @@
 #include "base/real.h"
 #include "hal/clock.h"
 #include "hal/system.h"
+#include "link/build_id.h"
+#include "link/trial_reports.h"
 #include "settings/settings.h"
 #include "trial/settle.h"
 
@@ -114,7 +116,7 @@ void trial_stop(trial_t *trial, fault_t asked) {
     if (run->open && run->start_us != 0 && run->stage != TRIAL_RUN_ENDED) {
         trial_log_text(&trial->run.log, now_us, fault_info(reason)->name);
     }
-    link_text(trial->with.link, MAV_SEVERITY_WARNING, fault_info(reason)->meaning);
+    outbox_text(trial->with.outbox, MAV_SEVERITY_WARNING, fault_info(reason)->meaning);
 }
 
 static void tell_beat(const trial_t *trial, const trial_run_beat_t *beat) {
@@ -127,7 +129,7 @@ static void tell_beat(const trial_t *trial, const trial_run_beat_t *beat) {
         .saturated = beat->amplitude_rad > beat->applied_rad,
         .provisional = beat->provisional,
     };
-    link_beat(trial->with.link, &message);
+    link_beat(trial->with.outbox, &message);
 }
 
 /* Not what the IMU alone says: that is worth nothing until the rest after the swim. */
@@ -169,7 +171,7 @@ static void tell_refusal(const trial_t *trial, uint64_t now_us) {
         stop_rules_trusted_beats((fault_t)run->trial.end, run->told, run->guard_beats);
     if (settle_needs_rest(trial->with.params) && trusted > 0 && run->measured == 0) {
         const fault_t why = rested ? FAULT_RESTS_DIFFER : FAULT_NOT_STILL;
-        link_text(trial->with.link, MAV_SEVERITY_WARNING, fault_info(why)->meaning);
+        outbox_text(trial->with.outbox, MAV_SEVERITY_WARNING, fault_info(why)->meaning);
     }
 }
 
@@ -251,8 +253,8 @@ static void follow_tail(trial_t *trial, const control_report_t *report, uint64_t
 static void warn_of_battery(trial_t *trial, uint64_t now_us, uint16_t battery_mv) {
     const uint16_t low_mv = settings_battery_low_mv(trial->with.params);
     if (battery_warns(&trial->battery, now_us, battery_mv, low_mv)) {
-        link_text(trial->with.link, MAV_SEVERITY_WARNING,
-                  "battery low: charge it after this trial");
+        outbox_text(trial->with.outbox, MAV_SEVERITY_WARNING,
+                    "battery low: charge it after this trial");
     }
 }
 
@@ -340,7 +342,8 @@ void trial_vision(trial_t *trial, const link_vision_t *sample) {
 void trial_tell_battery(trial_t *trial, const battery_voltage_t *battery) {
     const uint16_t low_mv = settings_battery_low_mv(trial->with.params);
     if (battery->at_limit && battery_tells_limit(&trial->battery, battery, low_mv)) {
-        link_text(trial->with.link, MAV_SEVERITY_WARNING, fault_info(FAULT_BATTERY_SENSE)->meaning);
+        outbox_text(trial->with.outbox, MAV_SEVERITY_WARNING,
+                    fault_info(FAULT_BATTERY_SENSE)->meaning);
     }
 }
 

@@ -12,8 +12,10 @@
 
 #include "imu/imu.h"
 #include "learn/learner.h"
+#include "link/command.h"
+#include "link/handlers.h"
 #include "link/keyring.h"
-#include "link/link.h"
+#include "link/outbox.h"
 #include "speed/rest.h"
 #include "supervisor/battery.h"
 #include "supervisor/supervisor.h"
@@ -31,7 +33,7 @@ typedef struct {
     keyring_t *keyring;
     const imu_t *imu;
     const rest_t *rest;
-    link_t *link;
+    outbox_t *outbox;
 } trial_parts_t;
 
 typedef struct {

@@ -181,7 +181,7 @@ static void follow_session(ftp_host_t host) {
     } else if (acknowledged && opcode == FTP_OP_TERMINATE) {
         session_open = false;
     }
-    session_open = session_open && ftp.open;
+    session_open = session_open && ftp.session.open;
 }
 
 static void send(ftp_host_t host) {
@@ -189,8 +189,8 @@ static void send(ftp_host_t host) {
     asked_to_write = false;
     memset(reply, 0xA5, sizeof reply);
     const bool answered = ftp_server_request(&ftp, host, request, reply);
-    MUST(!asked_to_write || (host.trusted && !ftp.conditions.read_only));
-    MUST(hal.flash_writes == writes || !ftp.conditions.read_only);
+    MUST(!asked_to_write || (host.trusted && !ftp.session.conditions.read_only));
+    MUST(hal.flash_writes == writes || !ftp.session.conditions.read_only);
     if (answered) {
         well_formed(request);
         follow_session(host);
@@ -293,19 +293,19 @@ static void raw_request(input_t *in) {
 
 static void change_conditions(input_t *in) {
     const uint8_t how = take_u8(in);
-    ftp.conditions.busy_trial = how % 4u;
-    ftp.conditions.read_only = ftp.conditions.busy_trial != 0;
+    ftp.session.conditions.busy_trial = how % 4u;
+    ftp.session.conditions.read_only = ftp.session.conditions.busy_trial != 0;
     repeatable = false;
 }
 
 static void pass_time(input_t *in) {
-    ftp.conditions.now_us += (uint64_t)take_u8(in) * 100000u;
+    ftp.session.conditions.now_us += (uint64_t)take_u8(in) * 100000u;
     repeatable = false;
 }
 
 static void take_burst(input_t *in) {
     for (uint32_t most = take_u8(in) % BURST_MAX; most > 0; most--) {
-        const bool was = ftp.bursting;
+        const bool was = ftp.session.bursting;
         const bool sent = ftp_server_burst(&ftp, reply);
         MUST(sent == was);
         if (!sent) {

@@ -175,7 +175,7 @@ static void tail_obeys(void) {
 
 static void take_output(void) {
     static uint8_t bytes[MOCK_PORT_BYTES];
-    for (uint32_t port = 0; port < LINK_PORTS; port++) {
+    for (uint32_t port = 0; port < OUTBOX_PORTS; port++) {
         const size_t length = mock_take(&hal, (hal_port_t)port, bytes, sizeof bytes);
         frames_valid(bytes, length);
     }
@@ -209,7 +209,7 @@ static void feed(hal_port_t port, const uint8_t *bytes, size_t length, bool trus
 
 static void send(frame_t *frame, uint8_t how) {
     const hal_port_t port = (how & 1u) != 0 ? HAL_PORT_CONSOLE : HAL_PORT_RADIO;
-    const uint64_t clock = keyed ? signing_clock(&app.link.signing, hal.now_us) : 0;
+    const uint64_t clock = keyed ? signing_clock(&app.link.outbox.signing, hal.now_us) : 0;
     bool trusted = false;
     switch (how / 2u % 8u) {
     case 0:
@@ -393,7 +393,7 @@ static void restart(void) {
     passes_since_running = 1000;
     start_accepted = false;
     MUST(app.supervisor.state == STATE_IDLE || app.supervisor.state == STATE_FAULT);
-    keyed = app.link.signing.locked;
+    keyed = app.link.outbox.signing.locked;
 }
 
 static void world(input_t *in) {
@@ -494,7 +494,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t length) {
     watch_handlers();
     if (choice >= 128u && chosen != &running) {
         MUST(app.link.handlers.set_key(&app, right_key, 0) == FAULT_NONE);
-        keyed = app.link.signing.keyed;
+        keyed = app.link.outbox.signing.keyed;
         MUST(keyed);
     }
     for (uint32_t i = 0; i < STEPS_MAX && in.left != 0 && passes_left > 0; i++) {

@@ -16,6 +16,7 @@ static link_t board;
 static link_status_t status;
 static memory_t memory;
 static imu_t imu;
+static link_learn_report_t learned; /* the last one */
 
 /* What the application's side was asked. */
 static link_command_t last_command;
@@ -96,10 +97,12 @@ void setUp(void) {
     memset(&status, 0, sizeof status);
     memset(&memory, 0, sizeof memory);
     memset(&imu, 0, sizeof imu);
+    memset(&learned, 0, sizeof learned);
     TEST_ASSERT_EQUAL(STORE_OK, store_mount(&store, &hal));
     params_reset(&params);
     status.state = STATE_IDLE;
     status.memory = &memory;
+    status.learned = &learned;
     status.imu = &imu;
     status.speed_m_s = NAN;
     link_init(&board, &hal, &store, &params, &handlers);

@@ -3,7 +3,7 @@
 #define LINK_SIGNING_PEER_H
 
 #include "link/ftp_codec.h"
-#include "link/link_internal.h"
+#include "link/link.h"
 #include "link_fixture.h"
 
 #define CLOCK 0x0123456789A0u
@@ -16,7 +16,7 @@ typedef enum { UNSIGNED, OLD_PROTOCOL, WRONG, STALE, AHEAD, RIGHT, SENDERS } sen
 static sender_t now_is;
 
 /* In front of the board's own clock, which a right frame takes along. */
-static uint64_t next_time(void) { return signing_clock(&board.signing, hal.now_us) + 1u; }
+static uint64_t next_time(void) { return signing_clock(&board.outbox.signing, hal.now_us) + 1u; }
 
 static void become(sender_t kind) {
     now_is = kind;
@@ -29,15 +29,15 @@ static void become(sender_t kind) {
     if (kind == STALE) {
         sender.timestamp = CLOCK - 1000u;
     } else if (kind == AHEAD) {
-        sender.timestamp = board.signing.mark + 1u;
+        sender.timestamp = board.outbox.signing.mark + 1u;
     }
     peer_tx.signing = &sender;
     peer_tx.flags = kind == OLD_PROTOCOL ? MAVLINK_STATUS_FLAG_OUT_MAVLINK1 : 0;
 }
 
 static void lock_board(void) {
-    signing_set_key(&board.signing, key, CLOCK, hal.now_us);
-    signing_mark(&board.signing, CLOCK + SIGNING_RESERVE_TICKS);
+    signing_set_key(&board.outbox.signing, key, CLOCK, hal.now_us);
+    signing_mark(&board.outbox.signing, CLOCK + SIGNING_RESERVE_TICKS);
 }
 
 /* A second later, so that a refusal is told as text again. */

@@ -47,7 +47,7 @@ void setUp(void) {
 
 void tearDown(void) {}
 
-static uint64_t clock_now(void) { return signing_clock(&app.link.signing, hal.now_us); }
+static uint64_t clock_now(void) { return signing_clock(&app.link.outbox.signing, hal.now_us); }
 
 static fault_t set_key(const uint8_t *key, uint64_t time) {
     return app.link.handlers.set_key(app.link.handlers.context, key, time);
@@ -112,7 +112,7 @@ static void test_a_key_is_stored_before_it_counts(void) {
     TEST_ASSERT_TRUE(record.set);
     TEST_ASSERT_EQUAL_MEMORY(key_a, record.key, sizeof key_a);
     TEST_ASSERT_EQUAL_UINT64(TODAY + SIGNING_RESERVE_TICKS, record.mark);
-    TEST_ASSERT_EQUAL_UINT64(record.mark, app.link.signing.mark);
+    TEST_ASSERT_EQUAL_UINT64(record.mark, app.link.outbox.signing.mark);
     TEST_ASSERT_EQUAL_UINT64(TODAY, clock_now());
     for (size_t i = 0; i + 4 <= sizeof app.vault.record; i++) {
         TEST_ASSERT_NOT_EQUAL(0, memcmp(app.vault.record + i, key_a, 4));
@@ -123,7 +123,7 @@ static void test_a_boot_goes_on_from_the_mark(void) {
     (void)set_key(key_a, TODAY);
     for (uint32_t n = 1; n <= 5; n++) {
         boot();
-        TEST_ASSERT_TRUE(app.link.signing.keyed);
+        TEST_ASSERT_TRUE(app.link.outbox.signing.keyed);
         TEST_ASSERT_EQUAL_UINT64(TODAY + n * SIGNING_RESERVE_TICKS, clock_now());
         TEST_ASSERT_EQUAL_UINT64(clock_now() + SIGNING_RESERVE_TICKS, stored().mark);
         TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
@@ -135,13 +135,13 @@ static void test_erased_and_set_again(void) {
     boot();
     const uint64_t mark = stored().mark;
     TEST_ASSERT_EQUAL(FAULT_NONE, set_key(NULL, 0));
-    TEST_ASSERT_FALSE(app.link.signing.locked);
+    TEST_ASSERT_FALSE(app.link.outbox.signing.locked);
     const key_record_t record = stored();
     TEST_ASSERT_FALSE(record.set);
     TEST_ASSERT_EACH_EQUAL_HEX8(0, record.key, sizeof record.key);
     TEST_ASSERT_EQUAL_UINT64(mark + 1u, record.mark); /* newer than any copy with the key */
     boot();
-    TEST_ASSERT_FALSE(app.link.signing.locked);
+    TEST_ASSERT_FALSE(app.link.outbox.signing.locked);
     TEST_ASSERT_EQUAL(FAULT_NONE, set_key(key_a, 0)); /* no earlier than it was */
     TEST_ASSERT_EQUAL_UINT64(mark + 1u, clock_now());
 }
@@ -164,7 +164,7 @@ static void test_a_time_that_makes_no_sense(void) {
     TEST_ASSERT_EQUAL(FAULT_BAD_DATA, set_key(key_a, SIGNING_TIME_MAX));
     TEST_ASSERT_EQUAL(FAULT_BAD_DATA, set_key(key_a, UINT64_MAX));
     TEST_ASSERT_EQUAL(FAULT_BAD_DATA, set_key(key_a, SIGNING_JUMP_MAX_TICKS + 1u));
-    TEST_ASSERT_FALSE(app.link.signing.locked);
+    TEST_ASSERT_FALSE(app.link.outbox.signing.locked);
     TEST_ASSERT_EQUAL(FAULT_NONE, set_key(key_a, SIGNING_JUMP_MAX_TICKS));
 }
 
@@ -181,8 +181,8 @@ static void spoil_copies(void) {
 static void expect_locked(void) {
     spoil_copies();
     boot();
-    TEST_ASSERT_TRUE(app.link.signing.locked);
-    TEST_ASSERT_FALSE(app.link.signing.keyed);
+    TEST_ASSERT_TRUE(app.link.outbox.signing.locked);
+    TEST_ASSERT_FALSE(app.link.outbox.signing.keyed);
     TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
     TEST_ASSERT_EQUAL(FAULT_KEY_UNREADABLE, app.supervisor.reason);
 }
@@ -208,7 +208,7 @@ static void test_a_key_that_cannot_be_read(void) {
     TEST_ASSERT_EQUAL_UINT32(0, obeyed);
     sender.flags = 0; /* nobody can sign with a key that nobody can read */
     say_key(key_b, 0);
-    TEST_ASSERT_TRUE(app.link.signing.keyed);
+    TEST_ASSERT_TRUE(app.link.outbox.signing.keyed);
     use_key(key_b);
     say_clear(clock_now() + 5u);
     TEST_ASSERT_EQUAL_UINT32(1, obeyed);
@@ -228,7 +228,7 @@ static void test_only_with_the_tail_off(void) {
     (void)command(LINK_COMMAND_ABORT, 0); /* ABORTED, but its file is still open */
     TEST_ASSERT_EQUAL(STATE_ABORTED, app.supervisor.state);
     TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, set_key(key_b, TODAY));
-    TEST_ASSERT_EQUAL_MEMORY(key_a, app.link.signing.out.secret_key, sizeof key_a);
+    TEST_ASSERT_EQUAL_MEMORY(key_a, app.link.outbox.signing.out.secret_key, sizeof key_a);
     run_ms(5000);
     TEST_ASSERT_FALSE(app.trial.run.open);
     TEST_ASSERT_EQUAL(FAULT_NONE, set_key(key_b, TODAY));
@@ -240,17 +240,17 @@ static void test_no_mark_is_written_while_swimming(void) {
     host_alive = camera_on = true;
     run_ms(1000);
     start_trial(20, 0.03f);
-    const uint64_t mark = app.link.signing.mark;
+    const uint64_t mark = app.link.outbox.signing.mark;
     TEST_ASSERT_GREATER_OR_EQUAL_UINT64(clock_now() + 20u * SECOND + SIGNING_RESERVE_TICKS / 2u,
                                         mark);
     run_ms(1000);
     say_clear(TODAY + YEAR);
     run_ms(15000);
     TEST_ASSERT_EQUAL(STATE_RUNNING, app.supervisor.state);
-    TEST_ASSERT_EQUAL_UINT64(mark, app.link.signing.mark);
+    TEST_ASSERT_EQUAL_UINT64(mark, app.link.outbox.signing.mark);
     TEST_ASSERT_EQUAL_UINT64(mark, stored().mark);
     say_clear(clock_now() + 5u); /* whoever has the board's time is believed all the while */
-    TEST_ASSERT_EQUAL_UINT32(1, app.link.signing.counters.stale);
+    TEST_ASSERT_EQUAL_UINT32(1, app.link.outbox.signing.counters.stale);
     run_ms(10000);
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
     TEST_ASSERT_EQUAL_UINT64(TODAY + YEAR + 2u * SIGNING_RESERVE_TICKS, stored().mark);
@@ -263,7 +263,7 @@ static void test_the_longest_swim_is_reserved_for(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
     const uint64_t needed = clock_now() + BEATS_MAX * SECOND + SIGNING_RESERVE_TICKS / 2u;
     TEST_ASSERT_GREATER_OR_EQUAL_UINT64(needed, stored().mark);
-    TEST_ASSERT_EQUAL_UINT64(stored().mark, app.link.signing.mark);
+    TEST_ASSERT_EQUAL_UINT64(stored().mark, app.link.outbox.signing.mark);
 }
 
 static void test_renewed_in_time_and_seldom(void) {
@@ -271,11 +271,12 @@ static void test_renewed_in_time_and_seldom(void) {
     const uint32_t before = hal.flash_writes;
     uint32_t renewals = 0;
     for (uint32_t minute = 0; minute < 60; minute++) {
-        const uint64_t mark = app.link.signing.mark;
+        const uint64_t mark = app.link.outbox.signing.mark;
         hal.now_us += 59000000;
         run_ms(1000);
-        renewals += app.link.signing.mark != mark ? 1u : 0u;
-        TEST_ASSERT_GREATER_OR_EQUAL_UINT64(clock_now() + 4u * 60u * SECOND, app.link.signing.mark);
+        renewals += app.link.outbox.signing.mark != mark ? 1u : 0u;
+        TEST_ASSERT_GREATER_OR_EQUAL_UINT64(clock_now() + 4u * 60u * SECOND,
+                                            app.link.outbox.signing.mark);
     }
     printf("an hour of IDLE: %u renewals, %u page writes\n", (unsigned)renewals,
            (unsigned)(hal.flash_writes - before));
@@ -286,7 +287,7 @@ static void test_renewed_in_time_and_seldom(void) {
 static void test_a_mark_that_cannot_be_stored(void) {
     (void)set_key(key_a, TODAY);
     boot();
-    const uint64_t mark = app.link.signing.mark;
+    const uint64_t mark = app.link.outbox.signing.mark;
     hal.flash_fail_after = hal.flash_writes;
     uint32_t tries = app.vault.store.failures;
     for (uint32_t i = 0; i < 20; i++) {
@@ -298,18 +299,18 @@ static void test_a_mark_that_cannot_be_stored(void) {
         mock_feed(&hal, HAL_PORT_RADIO, bytes, mavlink_msg_to_send_buffer(bytes, &message));
         run_ms(1000);
     }
-    TEST_ASSERT_EQUAL_UINT64(mark, app.link.signing.mark);
-    TEST_ASSERT_EQUAL_UINT32(20, app.link.signing.counters.stale);
+    TEST_ASSERT_EQUAL_UINT64(mark, app.link.outbox.signing.mark);
+    TEST_ASSERT_EQUAL_UINT32(20, app.link.outbox.signing.counters.stale);
     tries = app.vault.store.failures - tries;
     TEST_ASSERT_GREATER_OR_EQUAL_UINT32(2, tries);
     TEST_ASSERT_LESS_OR_EQUAL_UINT32(4, tries);
     TEST_ASSERT_EQUAL(FAULT_STORAGE, app.supervisor.reason);
     TEST_ASSERT_EQUAL(FAULT_STORAGE, set_key(key_b, TODAY));
     TEST_ASSERT_EQUAL(FAULT_STORAGE, set_key(NULL, TODAY));
-    TEST_ASSERT_EQUAL_MEMORY(key_a, app.link.signing.out.secret_key, sizeof key_a);
+    TEST_ASSERT_EQUAL_MEMORY(key_a, app.link.outbox.signing.out.secret_key, sizeof key_a);
     hal.flash_fail_after = 0;
     run_ms(11000);
-    TEST_ASSERT_GREATER_THAN_UINT64(mark, app.link.signing.mark);
+    TEST_ASSERT_GREATER_THAN_UINT64(mark, app.link.outbox.signing.mark);
 }
 
 /* A store that cannot be mounted does not tell whether there is a key; nor does it hold a
@@ -368,7 +369,7 @@ static void live(void) {
     say_clear(clock_now() + 5u);
     say_clear(clock_now() + SIGNING_RESERVE_TICKS - 6u * SECOND); /* takes the clock along */
     say_clear(clock_now() + 5u);
-    say_clear(app.link.signing.mark + YEAR); /* asks for a later mark */
+    say_clear(app.link.outbox.signing.mark + YEAR); /* asks for a later mark */
     say_clear(clock_now() + 5u);
     say_key(key_b, clock_now() + 5u);
     use_key(key_b);
@@ -377,7 +378,7 @@ static void live(void) {
         (void)command(LINK_COMMAND_ARM, 0);
         (void)command(LINK_COMMAND_DISARM, 0);
     }
-    say_clear(app.link.signing.mark);
+    say_clear(app.link.outbox.signing.mark);
     say_key(key_a, clock_now() + 5u);
     use_key(key_a);
     say_clear(clock_now() + 5u);
@@ -411,10 +412,10 @@ static void tear_page(void) {
 
 static void replay_everything(void) {
     boot();
-    TEST_ASSERT_TRUE(app.link.signing.keyed);
-    TEST_ASSERT_EQUAL_UINT64(stored().mark, app.link.signing.mark);
+    TEST_ASSERT_TRUE(app.link.outbox.signing.keyed);
+    TEST_ASSERT_EQUAL_UINT64(stored().mark, app.link.outbox.signing.mark);
     obeyed = 0;
-    const uint8_t key_before = app.link.signing.out.secret_key[0];
+    const uint8_t key_before = app.link.outbox.signing.out.secret_key[0];
     for (uint32_t turn = 0; turn < 2; turn++) {
         for (uint32_t i = 0; i < frames; i++) {
             mock_feed(&hal, recorded[i].port, recorded[i].bytes, recorded[i].length);
@@ -422,7 +423,7 @@ static void replay_everything(void) {
         }
     }
     TEST_ASSERT_EQUAL_UINT32(0, obeyed);
-    TEST_ASSERT_EQUAL_UINT8(key_before, app.link.signing.out.secret_key[0]);
+    TEST_ASSERT_EQUAL_UINT8(key_before, app.link.outbox.signing.out.secret_key[0]);
 }
 
 static void test_power_cut_and_replay(void) {

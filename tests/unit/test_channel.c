@@ -14,7 +14,7 @@ static mavlink_message_t received;
 
 void setUp(void) {
     peer_reset();
-    channel_init(&channel, &hal, HAL_PORT_RADIO);
+    channel_init(&channel, &hal, HAL_PORT_RADIO, NULL);
 }
 
 void tearDown(void) {}
@@ -77,7 +77,7 @@ static void test_no_damaged_frame_gets_through(void) {
         uint8_t damaged[sizeof heartbeat_v2];
         memcpy(damaged, heartbeat_v2, sizeof damaged);
         damaged[bit / 8] = (uint8_t)(damaged[bit / 8] ^ (1u << (bit % 8)));
-        channel_init(&channel, &hal, HAL_PORT_RADIO);
+        channel_init(&channel, &hal, HAL_PORT_RADIO, NULL);
         feed(damaged, sizeof damaged);
         TEST_ASSERT_EQUAL(0, receive_all());
     }

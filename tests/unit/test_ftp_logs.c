@@ -121,7 +121,7 @@ static void test_a_crc_does_not_disturb_a_session(void) {
 
 static void test_while_a_trial_runs(void) {
     make_log();
-    ftp.conditions = (ftp_conditions_t){.now_us = 1, .read_only = true, .busy_trial = 7};
+    ftp.session.conditions = (ftp_conditions_t){.now_us = 1, .read_only = true, .busy_trial = 7};
     const char *const names[] = {LOG_PATH, STORED_PATH};
     for (uint32_t i = 0; i < 2; i++) {
         ask_path(FTP_OP_OPEN_RO, names[i]);
@@ -129,7 +129,7 @@ static void test_while_a_trial_runs(void) {
         ask_path(FTP_OP_CRC32, names[i]);
         expect_nak(FTP_PROTECTED);
     }
-    ftp.conditions.busy_trial = 9;
+    ftp.session.conditions.busy_trial = 9;
     expect_burst(LOG_PATH, ulog, ulog_bytes);
     expect_crc(STORED_PATH, stored, stored_bytes);
     ask_path(FTP_OP_CRC32, LOG_PATH); /* it takes too long */

@@ -39,7 +39,7 @@ static void test_writes_only_the_uploads(void) {
         ask_path(FTP_OP_OPEN_WO, refused[i]);
         expect_nak(FTP_PROTECTED);
     }
-    TEST_ASSERT_FALSE(ftp.open);
+    TEST_ASSERT_FALSE(ftp.session.open);
 }
 
 static void test_an_upload_has_a_limit(void) {
@@ -120,9 +120,9 @@ static void test_a_repeated_open_goes_on_where_it_was(void) {
     TEST_ASSERT_TRUE(send());
     TEST_ASSERT_EQUAL(session, reply[2]);
     TEST_ASSERT_EQUAL(1000, bytes_get_u32(reply + 12));
-    TEST_ASSERT_TRUE(ftp.bursting);
+    TEST_ASSERT_TRUE(ftp.session.bursting);
     const uint8_t newer = open_ro("/trials/0001.ulg"); /* not a repetition: a new session */
-    TEST_ASSERT_FALSE(ftp.bursting);
+    TEST_ASSERT_FALSE(ftp.session.bursting);
     TEST_ASSERT_TRUE(ask(FTP_OP_READ, session, 0, NULL, 10));
     expect_nak(FTP_INVALID_SESSION);
     TEST_ASSERT_TRUE(ask(FTP_OP_READ, newer, 0, NULL, 10));
@@ -144,7 +144,7 @@ static void test_what_looks_alike_is_not_repeated(void) {
     TEST_ASSERT_TRUE(send());
     expect_nak(FTP_NOT_FOUND);
     host = laptop;
-    ftp.conditions.now_us += FTP_SESSION_SILENT_US; /* long ago */
+    ftp.session.conditions.now_us += FTP_SESSION_SILENT_US; /* long ago */
     TEST_ASSERT_TRUE(send());
     expect_nak(FTP_NOT_FOUND);
 }
@@ -172,8 +172,8 @@ static void test_a_second_host_waits_for_the_first(void) {
     expect_nak(FTP_INVALID_SESSION);
     TEST_ASSERT_TRUE(ask(FTP_OP_RESET, 0, 0, NULL, 0));
     expect_ack();
-    TEST_ASSERT_TRUE(ftp.open);
-    ftp.conditions.now_us += FTP_SESSION_SILENT_US;
+    TEST_ASSERT_TRUE(ftp.session.open);
+    ftp.session.conditions.now_us += FTP_SESSION_SILENT_US;
     open_ro("/trials/0001.ulg");
     host = laptop;
     TEST_ASSERT_TRUE(ask(FTP_OP_READ, session, 0, NULL, 10));
@@ -234,7 +234,7 @@ static void test_a_strangers_reset(void) {
     host.trusted = false;
     TEST_ASSERT_TRUE(ask(FTP_OP_RESET, 0, 0, NULL, 0));
     expect_ack();
-    TEST_ASSERT_TRUE(ftp.open && ftp.have_last);
+    TEST_ASSERT_TRUE(ftp.session.open && ftp.last.known);
     host = laptop;
     memcpy(request, last, sizeof last);
     TEST_ASSERT_TRUE(send());
@@ -246,7 +246,7 @@ static void test_a_running_burst_is_not_silence(void) {
     put_file("/trials/0001.ulg", 1000);
     const uint8_t session = open_ro("/trials/0001.ulg");
     TEST_ASSERT_FALSE(ask(FTP_OP_BURST, session, 0, NULL, 239));
-    ftp.conditions.now_us += FTP_SESSION_SILENT_US;
+    ftp.session.conditions.now_us += FTP_SESSION_SILENT_US;
     host = stranger;
     ask_path(FTP_OP_OPEN_RO, "/trials/0001.ulg");
     expect_nak(FTP_NO_SESSIONS);
@@ -257,8 +257,8 @@ static void test_while_swimming_nothing_is_written(void) {
     put_file("/trials/0002.ulg", 10);
     const uint8_t session = create("/in/speeds.bin");
     const uint32_t writes = hal.flash_writes;
-    ftp.conditions.read_only = true;
-    ftp.conditions.busy_trial = 2;
+    ftp.session.conditions.read_only = true;
+    ftp.session.conditions.busy_trial = 2;
     TEST_ASSERT_TRUE(ask(FTP_OP_WRITE, session, 0, "abc", 3));
     expect_nak(FTP_PROTECTED);
     ask_path(FTP_OP_REMOVE, "/trials/0001.ulg");
@@ -318,7 +318,7 @@ static void test_an_upload_ends_where_a_trial_begins(void) {
     (void)create("/in/speeds.bin");
     ftp_server_end_upload(&ftp);
     const uint32_t writes = hal.flash_writes;
-    ftp.conditions.read_only = true;
+    ftp.session.conditions.read_only = true;
     const uint8_t session = open_ro("/trials/0001.ulg");
     ftp_server_end_upload(&ftp);
     TEST_ASSERT_TRUE(ask(FTP_OP_READ, session, 0, NULL, 10));
@@ -403,7 +403,7 @@ static void random_request(uint32_t *random) {
         request[3] = (uint8_t)(peer_random(random) % 17);
         request[4] = (uint8_t)strlen(path);
         memcpy(request + 12, path, strlen(path));
-        request[2] = ftp.session;
+        request[2] = ftp.session.number;
         bytes_put_u32(request + 8, peer_random(random) % 20000);
     }
 }
@@ -417,7 +417,7 @@ static void test_a_hundred_thousand_random_requests(void) {
     for (uint32_t i = 0; i < 100000; i++) {
         random_request(&random);
         host = i % 3 == 0 ? stranger : laptop;
-        ftp.conditions.now_us += 100000;
+        ftp.session.conditions.now_us += 100000;
         if (send()) {
             TEST_ASSERT_TRUE(reply[3] == FTP_OP_ACK || reply[3] == FTP_OP_NAK);
             TEST_ASSERT_LESS_OR_EQUAL(FTP_DATA_BYTES, reply[4]);

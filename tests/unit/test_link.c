@@ -65,7 +65,7 @@ static void test_a_silent_port_gets_heartbeats_only(void) {
 }
 
 static void test_telemetry_ends_ten_seconds_after_the_last_word(void) {
-    poll_at(hal.now_us + LINK_HEARD_US - 1);
+    poll_at(hal.now_us + OUTBOX_HEARD_US - 1);
     peer_collect(HAL_PORT_RADIO);
     TEST_ASSERT_EQUAL(1, peer_count(MAVLINK_MSG_ID_TAILBEAT_STATUS));
     poll_at(hal.now_us + 1000000);
@@ -206,8 +206,9 @@ static void test_reports_a_beat_and_a_learning_step(void) {
         .iteration = 3,
         .report = {.law = {.max_abs_error_m_s = 0.02f, .measured_beats = 40}, .rolled_back = true},
         .best_max_abs_error_m_s = 0.01f};
-    link_beat(&board, &beat);
-    link_learned(&board, &report);
+    link_beat(&board.outbox, &beat);
+    learned = report;
+    link_learned(&board.outbox, &learned);
     peer_collect(HAL_PORT_RADIO);
     mavlink_tailbeat_beat_t beat_fields;
     mavlink_msg_tailbeat_beat_decode(peer_find(MAVLINK_MSG_ID_TAILBEAT_BEAT), &beat_fields);
@@ -228,8 +229,8 @@ static void test_reports_a_beat_and_a_learning_step(void) {
 }
 
 static void test_a_long_text_is_cut(void) {
-    link_text(&board, MAV_SEVERITY_ERROR,
-              "0123456789012345678901234567890123456789012345678901234567890");
+    outbox_text(&board.outbox, MAV_SEVERITY_ERROR,
+                "0123456789012345678901234567890123456789012345678901234567890");
     peer_collect(HAL_PORT_CONSOLE);
     expect_text(MAV_SEVERITY_ERROR, "0123456789012345678901234567890123456789012345678");
     peer_collect(HAL_PORT_RADIO);
@@ -275,7 +276,7 @@ static void test_ftp_bursts_as_the_line_allows(void) {
     hal.tx_limit = LINK_LINE_MIN_BYTES - 1u; /* room for a whole block asked for meanwhile */
     send_ftp(5, 3, session, NULL);
     TEST_ASSERT_EQUAL(1, peer_count(MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL));
-    TEST_ASSERT_TRUE(board.ftp.bursting);
+    TEST_ASSERT_TRUE(board.ftp.session.bursting);
     hal.tx_limit = LINK_LINE_MIN_BYTES;
     uint32_t packets = 0;
     for (uint32_t i = 0; i < 30; i++) {
@@ -284,7 +285,7 @@ static void test_ftp_bursts_as_the_line_allows(void) {
         packets += peer_count(MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL);
     }
     TEST_ASSERT_EQUAL(20, packets);
-    TEST_ASSERT_EQUAL(0, board.channel[0].dropped);
+    TEST_ASSERT_EQUAL(0, board.outbox.channel[0].dropped);
 }
 
 static void test_ftp_answers_its_asker(void) {
@@ -313,7 +314,7 @@ static void test_no_upload_while_a_trial_is_open(void) {
 static void test_a_full_line_loses_messages_not_the_link(void) {
     hal.tx_limit = 5;
     poll_at(hal.now_us + 1000000);
-    TEST_ASSERT_GREATER_THAN(0, board.channel[0].dropped);
+    TEST_ASSERT_GREATER_THAN(0, board.outbox.channel[0].dropped);
     hal.tx_limit = 0;
     send_command(TAILBEAT_CMD_CLEAR, 0, 0);
     expect_answer(TAILBEAT_CMD_CLEAR, MAV_RESULT_ACCEPTED, FAULT_NONE);
@@ -339,7 +340,7 @@ static void test_random_contents_in_valid_frames(void) {
         hal.tx[0].head = hal.tx[0].tail = 0;
         hal.tx[1].head = hal.tx[1].tail = 0;
     }
-    TEST_ASSERT_EQUAL(0, board.channel[0].bad_frames);
+    TEST_ASSERT_EQUAL(0, board.outbox.channel[0].bad_frames);
 }
 
 int main(void) {

@@ -208,8 +208,8 @@ static void test_health_counts(void) {
     hal.serial_errors[HAL_PORT_RADIO].overruns = 3;
     hal.serial_errors[HAL_PORT_IMU].overruns = 4;
     hal.reset_cause = HAL_RESET_WATCHDOG;
-    board.channel[0].bad_frames = 1;
-    board.channel[1].bad_frames = 2;
+    board.outbox.channel[0].bad_frames = 1;
+    board.outbox.channel[1].bad_frames = 2;
     store.failures = 9;
     status.speed_counters = (speed_counters_t){10, 1, 2, 3};
     send_command(MAV_CMD_REQUEST_MESSAGE, MAVLINK_MSG_ID_TAILBEAT_HEALTH, 0);

@@ -46,7 +46,7 @@ static void test_all_modes_come_through_a_line_that_is_nearly_full(void) {
         peer_collect(HAL_PORT_RADIO);
     }
     TEST_ASSERT_EQUAL(STATE_COUNT, modes);
-    TEST_ASSERT_EQUAL(0, board.channel[0].dropped);
+    TEST_ASSERT_EQUAL(0, board.outbox.channel[0].dropped);
 }
 
 static void test_there_are_no_more_modes(void) {
@@ -141,7 +141,7 @@ static void test_rates_of_a_hosts_choice(void) {
 static void test_a_rate_ends_with_the_host_that_chose_it(void) {
     set_interval(MAVLINK_MSG_ID_TAILBEAT_LIVE, -1.0f);
     TEST_ASSERT_EQUAL(0, sent_in_ten_seconds(MAVLINK_MSG_ID_TAILBEAT_LIVE));
-    poll_at(hal.now_us + LINK_HEARD_US);
+    poll_at(hal.now_us + OUTBOX_HEARD_US);
     drain();
     TEST_ASSERT_EQUAL(50, sent_in_ten_seconds(MAVLINK_MSG_ID_TAILBEAT_LIVE));
 }

@@ -64,7 +64,7 @@ static void test_off_again(void) {
 static void test_it_ends_when_the_host_is_gone(void) {
     ask_for(0.0f);
     TEST_ASSERT_EQUAL_UINT(1, stream(4));
-    hal.now_us += LINK_HEARD_US;
+    hal.now_us += OUTBOX_HEARD_US;
     TEST_ASSERT_EQUAL_UINT(0, stream(8));
     send_heartbeat(HAL_PORT_RADIO, MAV_TYPE_GCS, PEER_SYSTEM);
     poll();

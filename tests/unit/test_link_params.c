@@ -42,7 +42,7 @@ static void test_the_list_waits_for_the_line(void) {
     }
     peer_collect(HAL_PORT_RADIO);
     TEST_ASSERT_EQUAL(PARAM_COUNT, peer_count(MAVLINK_MSG_ID_PARAM_VALUE));
-    TEST_ASSERT_EQUAL(0, board.channel[0].dropped);
+    TEST_ASSERT_EQUAL(0, board.outbox.channel[0].dropped);
 }
 
 static void request_read(int16_t index, const char *name) {

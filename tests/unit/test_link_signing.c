@@ -7,7 +7,7 @@ static fault_t refusal_of(sender_t kind) {
 
 /* Runs |check| for every sender on both ports, each time on a board of its own. */
 static void for_everybody(void (*check)(sender_t kind)) {
-    for (unsigned p = 0; p < LINK_PORTS; p++) {
+    for (unsigned p = 0; p < OUTBOX_PORTS; p++) {
         for (sender_t kind = UNSIGNED; kind < SENDERS; kind++) {
             setUp();
             port = (hal_port_t)p;
@@ -22,7 +22,7 @@ static void for_everybody(void (*check)(sender_t kind)) {
 static void expect_counted(sender_t kind, uint32_t frames) {
     const bool bare = kind == UNSIGNED || kind == OLD_PROTOCOL;
     const bool late = kind == STALE || kind == AHEAD;
-    const signing_counters_t *counters = &board.signing.counters;
+    const signing_counters_t *counters = &board.outbox.signing.counters;
     TEST_ASSERT_EQUAL_UINT32(bare ? frames : 0, counters->unsigned_);
     TEST_ASSERT_EQUAL_UINT32(kind == WRONG ? frames : 0, counters->wrong);
     TEST_ASSERT_EQUAL_UINT32(late ? frames : 0, counters->stale);
@@ -111,7 +111,7 @@ static void check_file_writes(sender_t kind) {
     uint32_t size = 0;
     const store_result_t kept = kind == RIGHT ? STORE_NOT_FOUND : STORE_OK;
     TEST_ASSERT_EQUAL(kept, store_size(&store, "/trials/0001.ulg", &size));
-    TEST_ASSERT_EQUAL(kind == RIGHT, board.ftp.open);
+    TEST_ASSERT_EQUAL(kind == RIGHT, board.ftp.session.open);
     expect_counted(kind, 4);
 }
 
@@ -126,7 +126,7 @@ static void check_vision_and_heartbeat(sender_t kind) {
     TEST_ASSERT_EQUAL_UINT32(kind == RIGHT ? 1 : 0, heartbeats - before);
     /* Telemetry goes to everybody but who signs with a wrong key. */
     const bool heard = kind != WRONG || port == HAL_PORT_RADIO; /* there the fixture was heard */
-    TEST_ASSERT_EQUAL(heard, link_heard(&board, &board.channel[port]));
+    TEST_ASSERT_EQUAL(heard, outbox_heard(&board.outbox, &board.outbox.channel[port]));
 }
 
 static void test_speeds_and_heartbeats(void) { for_everybody(check_vision_and_heartbeat); }
@@ -151,7 +151,7 @@ static void check_reading(sender_t kind) {
     TEST_ASSERT_EQUAL(good, say_ftp(FTP_OP_TERMINATE, "", &error));
     TEST_ASSERT_EQUAL(good, say_ftp(FTP_OP_OPEN_RO, "/parameter.json.xz", &error));
     TEST_ASSERT_EQUAL(good, say_ftp(FTP_OP_RESET, "", &error));
-    TEST_ASSERT_EQUAL(0, board.signing.counters.unsigned_);
+    TEST_ASSERT_EQUAL(0, board.outbox.signing.counters.unsigned_);
     TEST_ASSERT_EQUAL(0, say_ftp(FTP_OP_ACK, "", &error)); /* an answer gets none */
 }
 
@@ -174,7 +174,7 @@ static void check_setup(sender_t kind) {
         TEST_ASSERT_EQUAL(!good, has_text(fault_info(refused)->meaning));
     }
     TEST_ASSERT_EQUAL_UINT32(good ? 2 : 0, key_settings);
-    TEST_ASSERT_EQUAL_MEMORY(key, board.signing.out.secret_key, sizeof key);
+    TEST_ASSERT_EQUAL_MEMORY(key, board.outbox.signing.out.secret_key, sizeof key);
 }
 
 static void test_setting_the_key(void) { for_everybody(check_setup); }
@@ -210,10 +210,10 @@ static void test_a_key_for_somebody_else(void) {
 
 /* The stored key cannot be read: nobody is believed, but the wire may bring a new one. */
 static void test_an_unreadable_key(void) {
-    for (unsigned p = 0; p < LINK_PORTS; p++) {
+    for (unsigned p = 0; p < OUTBOX_PORTS; p++) {
         setUp();
         port = (hal_port_t)p;
-        signing_lock(&board.signing);
+        signing_lock(&board.outbox.signing);
         const sender_t kinds[] = {UNSIGNED, RIGHT};
         for (uint32_t i = 0; i < 2; i++) {
             become(kinds[i]);
@@ -259,7 +259,7 @@ static void test_all_that_is_sent_is_signed(void) {
             seen++;
         }
         hal.now_us += 500000;
-        link_text(&board, MAV_SEVERITY_INFO, "hello");
+        outbox_text(&board.outbox, MAV_SEVERITY_INFO, "hello");
         poll();
         peer_collect(HAL_PORT_RADIO);
     }
@@ -277,12 +277,12 @@ static void test_a_replay_on_either_port(void) {
                                            &fields);
     const size_t length = mavlink_msg_to_send_buffer(recorded, &message);
     for (uint32_t turn = 0; turn < 6; turn++) {
-        mock_feed(&hal, (hal_port_t)(turn % LINK_PORTS), recorded, length);
+        mock_feed(&hal, (hal_port_t)(turn % OUTBOX_PORTS), recorded, length);
         poll();
         hal.now_us += 4000000;
     }
     TEST_ASSERT_EQUAL_UINT32(1, commands);
-    TEST_ASSERT_EQUAL_UINT32(5, board.signing.counters.stale);
+    TEST_ASSERT_EQUAL_UINT32(5, board.outbox.signing.counters.stale);
 }
 
 /* A text a second is enough for somebody who shouts. */
@@ -305,13 +305,13 @@ static void test_refusals_do_not_fill_the_line(void) {
     }
     TEST_ASSERT_EQUAL_UINT32(100, answers);
     TEST_ASSERT_EQUAL_UINT32(2, texts);
-    TEST_ASSERT_EQUAL_UINT32(100, board.signing.counters.unsigned_);
+    TEST_ASSERT_EQUAL_UINT32(100, board.outbox.signing.counters.unsigned_);
 }
 
 static void test_health_reports_the_refused(void) {
     port = HAL_PORT_RADIO;
     lock_board();
-    board.signing.counters = (signing_counters_t){11, 22, 33};
+    board.outbox.signing.counters = (signing_counters_t){11, 22, 33};
     hal.serial_errors[HAL_PORT_RADIO].framing = 44;
     hal.serial_errors[HAL_PORT_CONSOLE].framing = 99;
     become(RIGHT);
@@ -340,7 +340,7 @@ static void test_a_borrowed_address(void) {
     TEST_ASSERT_EQUAL(FTP_INVALID_SESSION, error);
     (void)say_ftp(FTP_OP_RESET, "", &error);
     TEST_ASSERT_EQUAL(FTP_OP_NAK, say_ftp(FTP_OP_OPEN_RO, "/in/speeds.bin", &error));
-    TEST_ASSERT_TRUE(board.ftp.open && board.ftp.writing);
+    TEST_ASSERT_TRUE(board.ftp.session.open && board.ftp.session.writing);
     become(RIGHT);
     TEST_ASSERT_EQUAL(FTP_OP_ACK, say_ftp(FTP_OP_WRITE, "x", &error));
 }
@@ -359,7 +359,7 @@ static void test_a_long_poll_ends(void) {
         const mavlink_command_long_t fields = {.command = TAILBEAT_CMD_CLEAR, .target_system = 1};
         mavlink_msg_command_long_encode_status(PEER_SYSTEM, PEER_COMPONENT, &peer_tx, &message,
                                                &fields);
-        peer_send((hal_port_t)(i % LINK_PORTS), &message);
+        peer_send((hal_port_t)(i % OUTBOX_PORTS), &message);
     }
     for (uint32_t i = 1; i <= 5; i++) {
         poll();

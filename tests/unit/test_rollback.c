@@ -97,7 +97,8 @@ static void save_limit(float limit_rad) {
 
 static void set_key(uint8_t first) {
     const uint8_t key[SIGNING_KEY_BYTES] = {first, 2, 3};
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_set_key(&app, key, 1000u + app.link.signing.mark));
+    TEST_ASSERT_EQUAL(FAULT_NONE,
+                      commands_set_key(&app, key, 1000u + app.link.outbox.signing.mark));
 }
 
 static void begin_life(scenario_t scenario) {
@@ -152,10 +153,10 @@ static void live(scenario_t scenario) {
 static knowledge_t known(void) {
     knowledge_t knowledge;
     memset(&knowledge, 0, sizeof knowledge);
-    knowledge.locked = app.link.signing.locked;
-    knowledge.keyed = app.link.signing.keyed;
+    knowledge.locked = app.link.outbox.signing.locked;
+    knowledge.keyed = app.link.outbox.signing.keyed;
     if (knowledge.keyed) {
-        memcpy(knowledge.key, app.link.signing.out.secret_key, SIGNING_KEY_BYTES);
+        memcpy(knowledge.key, app.link.outbox.signing.out.secret_key, SIGNING_KEY_BYTES);
     }
     knowledge.params = app.params;
     knowledge.memory = app.learner.memory;

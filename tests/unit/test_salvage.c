@@ -312,7 +312,7 @@ static void test_the_newest_key_comes_back_and_old_messages_do_not(void) {
     TEST_ASSERT_TRUE(key.set);
     TEST_ASSERT_EQUAL_UINT8(2, key.key[31]);
     TEST_ASSERT_GREATER_THAN_UINT32(86400u, (uint32_t)(key.mark / SIGNING_TICKS_PER_S));
-    TEST_ASSERT_TRUE(app.link.signing.locked);
+    TEST_ASSERT_TRUE(app.link.outbox.signing.locked);
 }
 
 static const uint8_t new_key[SIGNING_KEY_BYTES] = {1, 2, 3};
@@ -323,7 +323,7 @@ static void test_an_erased_key_does_not_come_back(void) {
     wipe_superblocks(0xFF);
     reboot();
     TEST_ASSERT_FALSE(stored_key().set);
-    TEST_ASSERT_FALSE(app.link.signing.locked);
+    TEST_ASSERT_FALSE(app.link.outbox.signing.locked);
 }
 
 /* A key that was replaced never comes back: the newest does, from its copy in the witness; without
@@ -350,8 +350,8 @@ static void test_a_replaced_key_does_not_come_back(void) {
                           : witnessed ? FAULT_FILE_DAMAGED
                                       : FAULT_KEY_UNREADABLE,
                           app.supervisor.reason);
-        TEST_ASSERT_TRUE(app.link.signing.locked);
-        TEST_ASSERT_EQUAL(witnessed, app.link.signing.keyed);
+        TEST_ASSERT_TRUE(app.link.outbox.signing.locked);
+        TEST_ASSERT_EQUAL(witnessed, app.link.outbox.signing.keyed);
         TEST_ASSERT_TRUE(!witnessed || stored_key().key[0] == new_key[0]);
     }
 }
@@ -398,11 +398,11 @@ static void test_a_key_that_cannot_be_saved_leaves_a_locked_board(void) {
     reboot();
     TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
     TEST_ASSERT_TRUE(said("lost /key.bin"));
-    TEST_ASSERT_TRUE(app.link.signing.locked);
+    TEST_ASSERT_TRUE(app.link.outbox.signing.locked);
     TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
     reboot();
     TEST_ASSERT_EQUAL(FAULT_KEY_UNREADABLE, app.supervisor.reason);
-    TEST_ASSERT_TRUE(app.link.signing.locked);
+    TEST_ASSERT_TRUE(app.link.outbox.signing.locked);
 }
 
 static void expect_renewed_or_done(void) {

@@ -181,8 +181,8 @@ static void expect_old_content(void) {
     TEST_ASSERT_EQUAL_FLOAT(0.4f, app.learner.memory.amplitude_rad[4]);
     TEST_ASSERT_EQUAL_UINT32(8, app.trial.run.pending ? app.trial.run.trial.number : 0u);
     TEST_ASSERT_EQUAL_FLOAT(0.7f, app.params.value[PARAM_AMP_MAX_RAD]);
-    TEST_ASSERT_TRUE(app.link.signing.keyed);
-    TEST_ASSERT_EQUAL_UINT8(6, app.link.signing.out.secret_key[1]);
+    TEST_ASSERT_TRUE(app.link.outbox.signing.keyed);
+    TEST_ASSERT_EQUAL_UINT8(6, app.link.outbox.signing.out.secret_key[1]);
     TEST_ASSERT_EQUAL_UINT32(70, app.trial.next);
     for (uint32_t number = 1; number <= old_logs; number++) {
         char path[STORE_PATH_BYTES];
@@ -255,7 +255,7 @@ static void test_a_flipped_bit_does_not_bring_back_what_was_taken_over(void) {
         hal.tx[0].head = hal.tx[0].tail = hal.tx[1].head = hal.tx[1].tail = 0;
         reboot();
         TEST_ASSERT_EQUAL_FLOAT(0.2f, app.params.value[PARAM_AMP_MAX_RAD]);
-        TEST_ASSERT_TRUE(app.link.signing.locked);
+        TEST_ASSERT_TRUE(app.link.outbox.signing.locked);
         told += app.supervisor.state == STATE_FAULT;
     }
     TEST_ASSERT_GREATER_THAN_UINT32(0, told);
