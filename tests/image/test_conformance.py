@@ -43,18 +43,20 @@ ON_BOTH = [
     ),
     (faults.OVERRUNS_NOT_COUNTED, "serial", {"serial_overrun_counted", "serial_overrun_lost"}),
     (faults.SERIAL_LOSES_BYTE, "serial", {"serial_loopback", "serial_overrun_counted"}),
-    (faults.BAUD_ACCEPTED, "serial", {"serial_baud_impossible"}),
     (
         faults.SERIAL_WRITES_PART,
         "serial",
         {"serial_write_whole_or_none", "serial_full_ring", "serial_refused_sends_nothing"},
     ),
-    (faults.SERIAL_SENDS_REFUSED, "serial", {"serial_refused_sends_nothing"}),
     (faults.CLOCK_SLOW, "clock", {"tick_period", "clock_rate"}),
-    (faults.CLOCK_GOES_BACK, "clock", {"clock_monotonic"}),
-    (faults.BATTERY_UNSTEADY, "board", {"battery_steady"}),
     (faults.PULSES_GO_ON, "servo", {"servo0_stops"}),
     (faults.RESET_CAUSE_WRONG, "restart", {"reset_cause_software"}),
+]
+ON_SIMULATED = [
+    (faults.BAUD_ACCEPTED, "serial", {"serial_baud_impossible"}),
+    (faults.SERIAL_SENDS_REFUSED, "serial", {"serial_refused_sends_nothing"}),
+    (faults.CLOCK_GOES_BACK, "clock", {"clock_monotonic"}),
+    (faults.BATTERY_UNSTEADY, "board", {"battery_steady"}),
     (faults.ID_CHANGES, "restart", {"unique_id"}),
 ]
 ON_EMULATED = [
@@ -113,7 +115,9 @@ def test_a_board_fulfils_the_interface(board: Callable[[], Board], absent: set[s
     assert {name for _, names in GROUPS.values() for name in names} <= results.keys()
 
 
-@pytest.mark.parametrize(("fault", "group", "expected"), ON_BOTH, ids=named(ON_BOTH))
+@pytest.mark.parametrize(
+    ("fault", "group", "expected"), ON_BOTH + ON_SIMULATED, ids=named(ON_BOTH + ON_SIMULATED)
+)
 def test_a_fault_of_the_simulated_board_is_found(
     fault: int, group: str, expected: set[str]
 ) -> None:
@@ -145,7 +149,8 @@ def in_real_time(board: SimulatedBoard, end: int, stop: threading.Event) -> None
         stop.wait(0.005)
         with suppress(BlockingIOError):  # nothing has come
             board.write(os.read(end, 4096))
-        while (late_s := time.monotonic() - behind_s - board.now_s()) > 0:
+        until_s = time.monotonic() - behind_s
+        while (late_s := until_s - board.now_s()) > 0:
             os.write(end, board.read(late_s))
 
 
@@ -160,12 +165,12 @@ def test_the_runner_reaches_a_board_on_a_serial_port() -> None:
     with closing(SimulatedBoard(built(PROGRAM))) as board:
         pump = threading.Thread(target=in_real_time, args=(board, near, stop))
         pump.start()
-        command = [sys.executable, RUNNER, os.ttyname(far), "--only=restart", "--only=board"]
-        run = subprocess.run(command, capture_output=True, text=True, check=False)
+        command = [sys.executable, RUNNER, os.ttyname(far), "--only=board"]
+        run = subprocess.run(command, capture_output=True, text=True, timeout=600)
         stop.set()
         pump.join()
     os.close(near)
     os.close(far)
     print(run.stdout, run.stderr)
     assert run.returncode == 0
-    assert "10 ok, 0 failed, 3 not measured" in run.stdout
+    assert "3 ok, 0 failed, 2 not measured" in run.stdout

@@ -10,7 +10,7 @@ from conformance.console import About, Console, NoAnswer, parse_about
 from conformance.results import ABSENT, FAILED, UNMEASURED, Result, from_answer, holds, judged
 
 CRASH_READ = "crash_record"
-WIDTHS_TICKS = (3000, 4501, 6000)  # 1.0, 1.50033 and 2.0 ms
+WIDTHS_TICKS = (3600, 4501, 5400)  # 1.2, 1.50033 and 1.8 ms
 FRAME_S = 0.02
 SETTLE_S, WATCH_S = 0.1, 0.5
 RATE_SPAN_S, RATE_PPM = 10.0, 2000.0
