@@ -36,6 +36,10 @@ bool flash_rewrite(hal_t *hal, uint32_t offset, const void *page) {
     return hal_flash_write_page(hal, offset, page);
 }
 
+bool flash_accepts(hal_t *hal, uint32_t offset, const void *page) {
+    return flash_rewrite(hal, offset, page);
+}
+
 bool flash_blank(hal_t *hal, uint32_t offset) {
     uint8_t blank[HAL_FLASH_PAGE_BYTES];
     memset(blank, 0xFF, sizeof blank);

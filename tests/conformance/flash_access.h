@@ -25,6 +25,9 @@ bool flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length);
 /* Erases the unit at |offset| and writes its first page: one cycle of wear. */
 bool flash_rewrite(hal_t *hal, uint32_t offset, const void *page);
 
+/* flash_rewrite() where it must be refused: true when any part of it was accepted. */
+bool flash_accepts(hal_t *hal, uint32_t offset, const void *page);
+
 /* Leaves the unit at |offset| erased. */
 bool flash_blank(hal_t *hal, uint32_t offset);
 
