@@ -13,7 +13,7 @@ NEWLIB_LICENSE := /usr/share/doc/libnewlib-arm-none-eabi/copyright
 CONFIGURE := $(STEP) configuring cmake -S . -G Ninja -DPython_EXECUTABLE=$(PYTHON) --log-level=WARNING
 PACKAGE_SOURCES := $(shell find host firmware/ hal sim wire tools/vboard CMakeLists.txt cmake -not -name __pycache__ \
 	-not -name '*.pyc' -not -path '*/.*_cache*')
-C_SOURCES = $(shell find firmware hal sim bench tests/unit tests/fuzz tests/image host/native tools/vboard/native \
+C_SOURCES = $(shell find firmware hal sim bench tests/unit tests/conformance tests/fuzz tests/image host/native tools/vboard/native \
 	-name '*.[ch]' 2>/dev/null)
 PYTHON_SOURCES := $(wildcard docs/*.py docs/diagrams/*.py) host tests tools wire $(wildcard bench examples)
 
@@ -32,7 +32,7 @@ UNLIMITED := -o faulthandler_timeout=0
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $$(($$(nproc) + 1)) --dist worksteal
 
 .PHONY: help demo test image qemu soak bench firmware sbom flash size check docs dist clean lock bootstrap package \
-	unit host_tests coverage toolchain fuzz bench_programs
+	unit host_tests coverage toolchain fuzz bench_programs conformance_programs
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -45,7 +45,7 @@ test: toolchain ## all tests: C (sanitized, and on a Cortex-M3), host tool, flas
 		unit '$(MAKE) unit coverage' qemu '$(MAKE) qemu' image '$(MAKE) image' \
 		'host and system' '$(MAKE) host_tests'
 
-image: package firmware ## only the tests of the flash image
+image: package firmware conformance_programs ## only the tests of the flash image
 	@tools/bootstrap image
 	@$(PYTEST) tests/image
 
@@ -113,6 +113,15 @@ firmware: package ## the image that is flashed to the fish: build/firmware/tailb
 	@cp $(NEWLIB_LICENSE) build/firmware/licenses/newlib.txt 2>/dev/null || \
 		echo "newlib's license was not found; add it from your toolchain to build/firmware/licenses/newlib.txt"
 	@echo "build/firmware/tailbeat.bin: $$(wc -c <build/firmware/tailbeat.bin) bytes"
+
+# The conformance suite: an image for the fish's board, a program that is the simulated one.
+conformance_programs: firmware
+	@$(CONFIGURE) -B build/unit -DTAILBEAT_SANITIZE=ON -DTAILBEAT_COVERAGE=ON \
+		-DTAILBEAT_NATIVE=OFF >/dev/null
+	@$(STEP) "building the conformance suite" cmake --build build/firmware \
+		--target sam3x8e_conformance sam3x8e_conformance_faulty
+	@$(STEP) "building the conformance suite" cmake --build build/unit \
+		--target simulated_conformance simulated_conformance_faulty
 
 sbom: package ## everything built in or installed, as CycloneDX: build/sbom.json
 	@$(PYTHON) tools/sbom.py

@@ -1,0 +1,1 @@
+"""Runs the conformance suite on a board through its console and judges the answers."""
