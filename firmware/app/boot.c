@@ -22,6 +22,10 @@ bool boot_keep_crash(app_t *app) {
     }
     key_hide(app, (uint8_t *)&report.crash, sizeof report.crash);
     (void)strncpy(report.build_id, link_build_id(), BUILD_ID_BYTES - 1u);
+    for (uint32_t i = 0; i < HAL_CRASH_REGISTERS; i++) {
+        (void)strncpy(report.register_names[i], hal_crash_register(app->hal, i),
+                      HAL_CRASH_NAME_BYTES - 1u);
+    }
     const size_t length = record_encode_crash(&report, app->record);
     if (store_replace(&app->store, CRASH_PATH, app->record, length) == STORE_OK) {
         hal_crash_forget(app->hal);

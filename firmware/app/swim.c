@@ -384,22 +384,10 @@ bool swim_finish(app_t *app, uint64_t now_us) {
     return stored;
 }
 
-static const char *board_name(hal_board_kind_t kind) {
-    switch (kind) {
-    case HAL_BOARD_SIMULATED:
-        return "simulated";
-    case HAL_BOARD_EMULATED:
-        return "emulated";
-    case HAL_BOARD_FISH:
-        break;
-    }
-    return "fish";
-}
-
 static void begin_log(app_t *app, uint64_t start_us) {
     trial_log_header_t header = {
         .build_id = link_build_id(),
-        .board = board_name(hal_board_kind(app->hal)),
+        .board = hal_board_name(app->hal),
     };
     trial_run_imu_t imu = {
         .alive = app->imu.driver.state == IMU_STREAMING,

@@ -23,7 +23,7 @@ void mock_hal_init(hal_t *hal) {
     memset(hal, 0, sizeof *hal);
     memset(hal->flash, 0xFF, sizeof hal->flash);
     hal->battery_mv = 8000;
-    hal->kind = HAL_BOARD_SIMULATED;
+    hal->board_name = "simulated";
 }
 
 void mock_feed(hal_t *hal, hal_port_t port, const void *bytes, size_t length) {
@@ -123,7 +123,7 @@ bool hal_flash_write_page(hal_t *hal, uint32_t offset, const void *page) {
     return true;
 }
 
-hal_board_kind_t hal_board_kind(const hal_t *hal) { return hal->kind; }
+const char *hal_board_name(const hal_t *hal) { return hal->board_name; }
 hal_reset_cause_t hal_reset_cause(const hal_t *hal) { return hal->reset_cause; }
 
 bool hal_crash_read(const hal_t *hal, hal_crash_t *out) {
@@ -131,6 +131,12 @@ bool hal_crash_read(const hal_t *hal, hal_crash_t *out) {
         *out = hal->crash;
     }
     return hal->crashed;
+}
+
+const char *hal_crash_register(const hal_t *hal, uint32_t index) {
+    (void)hal;
+    static const char *const names[] = {"a0", "cause"};
+    return index < sizeof names / sizeof names[0] ? names[index] : "";
 }
 
 void hal_crash_forget(hal_t *hal) { hal->crashed = false; }

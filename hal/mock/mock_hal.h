@@ -41,7 +41,7 @@ struct hal {
     void (*flash_read)(hal_t *hal, uint32_t offset, uint8_t *read, uint32_t length);
     void *flash_context;
     uint16_t battery_mv; /* at the pack; from 9900 on the reading is full scale */
-    hal_board_kind_t kind;
+    const char *board_name;
     hal_reset_cause_t reset_cause;
     bool clock_inexact;
     bool crashed;

@@ -51,9 +51,9 @@ void chip_init(hal_t *hal) {
     pin_output(PIN_LED, false);
 }
 
-hal_board_kind_t hal_board_kind(const hal_t *hal) {
+const char *hal_board_name(const hal_t *hal) {
     const bool emulated = memcmp(hal->unique_id, EMULATOR_ID, sizeof EMULATOR_ID - 1) == 0;
-    return emulated ? HAL_BOARD_EMULATED : HAL_BOARD_FISH;
+    return emulated ? "emulated" : "fish";
 }
 
 hal_reset_cause_t hal_reset_cause(const hal_t *hal) { return hal->reset_cause; }

@@ -201,9 +201,9 @@ bool hal_flash_write_page(hal_t *hal, uint32_t offset, const void *page) {
     return true;
 }
 
-hal_board_kind_t hal_board_kind(const hal_t *hal) {
+const char *hal_board_name(const hal_t *hal) {
     (void)hal;
-    return HAL_BOARD_SIMULATED;
+    return "simulated";
 }
 
 hal_reset_cause_t hal_reset_cause(const hal_t *hal) { return hal->reset_cause; }
@@ -213,6 +213,12 @@ bool hal_crash_read(const hal_t *hal, hal_crash_t *out) {
     (void)hal;
     (void)out;
     return false;
+}
+
+const char *hal_crash_register(const hal_t *hal, uint32_t index) {
+    (void)hal;
+    (void)index;
+    return "";
 }
 
 void hal_crash_forget(hal_t *hal) { (void)hal; }

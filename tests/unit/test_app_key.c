@@ -345,7 +345,7 @@ static void test_files_and_crashes_do_not_tell_the_key(void) {
         stack[3u + i] = key_b[i];         /* as it came in */
         stack[64u + (i ^ 3u)] = key_b[i]; /* as it is hashed */
     }
-    memcpy(&hal.crash.r0, key_b + 4, 4);
+    memcpy(&hal.crash.registers[0], key_b + 4, 4);
     stack[1] = 0x77;
     boot();
     TEST_ASSERT_EQUAL(FAULT_CRASH, app.supervisor.reason);
@@ -357,7 +357,7 @@ static void test_files_and_crashes_do_not_tell_the_key(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_crash(bytes, length, &report));
     TEST_ASSERT_EQUAL_HEX32(0x7700, report.crash.stack[0]);
     TEST_ASSERT_EACH_EQUAL_HEX32(0, report.crash.stack + 1, HAL_CRASH_STACK_WORDS - 1u);
-    TEST_ASSERT_EQUAL_HEX32(0, report.crash.r0);
+    TEST_ASSERT_EQUAL_HEX32(0, report.crash.registers[0]);
     TEST_ASSERT_EQUAL_UINT32(HAL_CRASH_ASSERTION, report.crash.kind);
 }
 

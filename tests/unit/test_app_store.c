@@ -355,7 +355,7 @@ static void test_a_crash_is_told_and_kept_in_a_file(void) {
     hal.crashed = true;
     hal.crash = (hal_crash_t){.kind = HAL_CRASH_ASSERTION,
                               .pc = 0x80123u,
-                              .cfsr = 7u,
+                              .registers = {0, 7u},
                               .time_us = 5000000000u,
                               .where = "gait.c:12",
                               .stack_words = 2,
@@ -374,6 +374,9 @@ static void test_a_crash_is_told_and_kept_in_a_file(void) {
     TEST_ASSERT_EQUAL_HEX32(0x80123u, report.crash.pc);
     TEST_ASSERT_EQUAL_UINT64(5000000000u, report.crash.time_us);
     TEST_ASSERT_EQUAL(22u, report.crash.stack[1]);
+    TEST_ASSERT_EQUAL_STRING("cause", report.register_names[1]);
+    TEST_ASSERT_EQUAL(7u, report.crash.registers[1]);
+    TEST_ASSERT_EQUAL_STRING("", report.register_names[2]);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
     reboot();
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
