@@ -29,14 +29,18 @@ PURE_ALLOWED = {
     "supervisor": ("base/", "supervisor/"),
 }
 PURE_PREFIXES = tuple(f"{name}/" for name in PURE)
+# A chip's folder shares what all chips of its core have (hal/cortex_m3).
+CHIP_ALLOWED = ("base/", "hal/", "registers/", "app/app.h", "crash.h", "memory_map.h")
 ALLOWED: dict[str, tuple[str, ...]] = {
     **{f"firmware/{name}": allowed for name, allowed in PURE_ALLOWED.items()},
     "firmware/store": (*PURE_PREFIXES, "store/", "hal/flash.h", "hal/system.h", "lfs.h"),
     "firmware/link": (*PURE_PREFIXES, "store/", "link/", "hal/", *GENERATED),
     "firmware/app": (*PURE_PREFIXES, "store/", "link/", "app/", "hal/"),
     "hal/include/hal": ("hal/",),
+    "hal/cortex_m3/registers": ("registers/",),
+    "hal/cortex_m3": ("base/", "hal/", "registers/"),
     "hal/sam3x8e/registers": ("registers/",),
-    "hal/sam3x8e": ("base/", "hal/", "registers/", "app/app.h"),
+    "hal/sam3x8e": CHIP_ALLOWED,
 }
 
 

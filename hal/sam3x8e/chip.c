@@ -56,6 +56,17 @@ const char *hal_board_name(const hal_t *hal) {
     return emulated ? "emulated" : "fish";
 }
 
+_Noreturn void chip_restart(void) {
+    RSTC->CR = RSTC_CR_KEY_PASSWD | RSTC_CR_PERRST | RSTC_CR_PROCRST;
+    cpu_barrier();
+    for (volatile uint32_t waited = 0; waited < 10000u; waited++) {
+    }
+    SCB->AIRCR = SCB_AIRCR_VECTKEY_PASSWD | SCB_AIRCR_SYSRESETREQ;
+    cpu_barrier();
+    for (;;) {
+    }
+}
+
 hal_reset_cause_t hal_reset_cause(const hal_t *hal) { return hal->reset_cause; }
 
 void hal_unique_id(const hal_t *hal, uint8_t out[16]) {

@@ -2,11 +2,15 @@
 
 #include "base/crc.h"
 #include "base/panic.h"
-#include "board.h"
+#include "hal/clock.h"
+#include "hal/system.h"
 #include "memory_map.h"
-#include "registers/rstc.h"
+#include "registers/cortex_m3.h"
 
 #include <string.h>
+
+/* The board's one, whose time the record has. */
+extern hal_t board;
 
 #define RECORD_MAGIC 0x43524153u
 
@@ -135,17 +139,6 @@ static void record_where(const char *where) {
     const size_t room = sizeof record.crash.where - 1u;
     memcpy(record.crash.where, length > room ? where + length - room : where,
            length > room ? room : length);
-}
-
-_Noreturn void chip_restart(void) {
-    RSTC->CR = RSTC_CR_KEY_PASSWD | RSTC_CR_PERRST | RSTC_CR_PROCRST;
-    cpu_barrier();
-    for (volatile uint32_t waited = 0; waited < 10000u; waited++) {
-    }
-    SCB->AIRCR = SCB_AIRCR_VECTKEY_PASSWD | SCB_AIRCR_SYSRESETREQ;
-    cpu_barrier();
-    for (;;) {
-    }
 }
 
 /* Whoever crashes while recording a crash goes straight on to the restart, with what is recorded.
