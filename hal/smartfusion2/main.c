@@ -1,0 +1,44 @@
+#include "app/app.h"
+#include "board.h"
+
+hal_t board;
+
+static app_t app;
+
+void board_tick_isr(void) {
+    servo_frame_isr(&board);
+    app_tick_isr(&app);
+    board.wake = true;
+}
+
+/* A handler that runs between the last look at board.wake and the WFI would leave its bytes lying
+ * until the next interrupt; with interrupts off it waits, and ends the WFI at once. */
+static void sleep_until_interrupt(void) {
+    cpu_interrupts_off();
+    if (!board.wake) {
+        cpu_wait_for_interrupt();
+    }
+    cpu_interrupts_on();
+}
+
+/* By it 'tailbeat board flash' tells a board whose firmware hangs from a new one. */
+static void report_start(void) {
+    static const char line[] = "tailbeat starts\r\n";
+    (void)hal_serial_write(&board, HAL_PORT_CONSOLE, (const uint8_t *)line, sizeof line - 1u);
+}
+
+int main(void) {
+    chip_init(&board);
+    time_init(&board);
+    nor_init(&board);
+    serial_init(&board);
+    servo_init(&board);
+    report_start();
+    app_init(&app, &board);
+    time_start_ticks();
+    for (;;) {
+        board.wake = false;
+        app_poll(&app);
+        sleep_until_interrupt();
+    }
+}
