@@ -43,7 +43,7 @@ struct hal {
     volatile uint32_t overruns, framing; /* ... */
 
     uint16_t pulse_ticks[HAL_SERVO_COUNT]; /* servo.c: of the next frame */
-    uint16_t frame;                        /* of the pulses, modulo 2^16 */
+    uint16_t frame;                        /* its number, modulo 2^16 */
 
     bool nor_there; /* nor.c: it answers as what it should be */
 
