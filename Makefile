@@ -107,7 +107,7 @@ firmware: package ## the image that is flashed to the fish: build/firmware/tailb
 	@tools/bootstrap firmware
 	@$(CONFIGURE) -B build/firmware -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF \
 		--toolchain $(CURDIR)/cmake/cortex-m3.cmake
-	@$(STEP) "building the firmware" cmake --build build/firmware --target tailbeat_image
+	@$(STEP) "building the firmware" cmake --build build/firmware --target tailbeat_image smartfusion2_image
 	@mkdir -p build/firmware/licenses
 	@cp host/NOTICE build/firmware/ && cp host/licenses/*.txt build/firmware/licenses/
 	@cp $(NEWLIB_LICENSE) build/firmware/licenses/newlib.txt 2>/dev/null || \

@@ -41,6 +41,8 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "hal/cortex_m3": ("base/", "hal/", "registers/"),
     "hal/sam3x8e/registers": ("registers/",),
     "hal/sam3x8e": CHIP_ALLOWED,
+    "hal/smartfusion2": CHIP_ALLOWED,
+    "hal/template": ("base/", "hal/", "app/app.h"),
 }
 
 

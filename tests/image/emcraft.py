@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
+from tailbeat.link.transport import START_LINE
+
 QEMU = "qemu-system-arm"
 NOR_BYTES = 16 << 20
 
@@ -63,7 +65,7 @@ class EmcraftBoard:
             command = [
                 QEMU, "-M", "emcraft-sf2", "-display", "none", "-monitor", "none",
                 "-icount", f"shift={_NS_PER_INSTRUCTION}", "-kernel", str(image),
-                "-chardev", f"socket,id=console,fd={console.fileno()},server=on,wait=on",
+                "-chardev", f"socket,id=console,fd={console.fileno()},server=on,wait=off",
                 "-serial", "chardev:console", "-serial", f"file:{self._pulses}",
                 "-drive", f"if=mtd,format=raw,cache=unsafe,file={storage}",
                 "-chardev", f"socket,id=gdb,fd={gdb.fileno()},server=on,wait=off",
@@ -113,10 +115,18 @@ class EmcraftBoard:
         """Every frame of the servo since the power came on."""
         return decode_pulses(self._pulses.read_bytes())
 
+    def await_start(self) -> None:
+        """Returns when the firmware says that it starts."""
+        heard, end_s = b"", self.now_s() + _LIMIT_S
+        while START_LINE not in heard:
+            assert self.now_s() < end_s, f"no start: {heard!r}"
+            self.wait(1.0)
+            heard += self.read()
+
     def divert(self, pc: int, r0: int) -> None:
         """Makes the processor go on at ``pc``, as in a call with the argument ``r0``."""
         with socket.create_connection(self._debugger_at, _LIMIT_S) as debugger:
-            _ask(debugger, "?")
+            _ask(debugger, "qXfer:features:read:target.xml:0,fff")  # else QEMU takes no register
             for register, value in ((0, r0), (15, pc & ~1)):
                 _ask(debugger, f"P{register:x}={value.to_bytes(4, 'little').hex()}")
             _ask(debugger, "D")
@@ -136,7 +146,7 @@ class EmcraftBoard:
 
 
 def _ask(debugger: socket.socket, words: str) -> None:
-    """A packet of gdb's remote protocol. Raises AssertionError when the answer is an error."""
+    """A packet of gdb's remote protocol. Raises AssertionError when QEMU does not take it."""
     debugger.sendall(f"${words}#{sum(words.encode()) & 0xFF:02x}".encode())
     answer = b""
     while len(answer.partition(b"#")[2]) < _SUM_DIGITS:
@@ -144,7 +154,7 @@ def _ask(debugger: socket.socket, words: str) -> None:
         assert piece, "QEMU has ended"
         answer += piece
     debugger.sendall(b"+")
-    assert b"$E" not in answer, f"QEMU answers {words} with {answer!r}"
+    assert b"$E" not in answer and b"$#" not in answer, f"QEMU answers {words} with {answer!r}"
 
 
 def _listener() -> socket.socket:

@@ -143,6 +143,7 @@ def test_what_is_stored_outlives_a_crash_and_the_power(port: EmcraftBoard, tmp_p
         prepare(fish)
         crc = fish.status().reference_crc
     port.divert(symbols()["panic"], symbols()["register_names"])
+    port.await_start()
     with greet(port) as fish:
         report = fish.crash_report()
         assert report is not None
