@@ -17,7 +17,7 @@
 #include "registers.h"
 #include "registers/cortex_m3.h"
 
-/* The core's clock, as the SOM's design sets it; the peripherals' is half of it. */
+/* The core's clock, as the board's design sets it; the peripherals' is half of it. */
 #define CORE_HZ 142000000u
 #define APB0_HZ (CORE_HZ / 2u)
 #define COUNTS_PER_US (APB0_HZ / 1000000u)

@@ -65,10 +65,9 @@ typedef struct {
     uint32_t BGLOADVAL;
     uint32_t CTRL;
     uint32_t RIS;
-    const uint32_t MIS;
 } timer_registers_t;
 
-REGISTER_AT(timer_registers_t, MIS, 0x14);
+REGISTER_AT(timer_registers_t, RIS, 0x10);
 
 #define TIM1 ((volatile timer_registers_t *)0x40004000u)
 #define TIM2 ((volatile timer_registers_t *)0x40004018u)
