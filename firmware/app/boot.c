@@ -65,6 +65,9 @@ static bool keep_crash(app_t *app) {
 }
 
 static fault_t judge(const app_t *app, store_result_t mounted, bool key_readable, bool crashed) {
+    if (mounted == STORE_TOO_SMALL || mounted == STORE_BAD_GEOMETRY) {
+        return FAULT_STORE_UNFIT;
+    }
     if (mounted != STORE_OK) {
         return FAULT_STORAGE;
     }

@@ -6,8 +6,7 @@
 #include <string.h>
 
 _Static_assert(VAULT_PAST_PLACES >= PAST_WINDOW_MAX, "earlier trials and the one to come");
-_Static_assert(MEMORY_ROUND % VAULT_PAST_PLACES == 0,
-               "places go on when the iteration goes round");
+_Static_assert(MEMORY_ROUND % VAULT_PAST_PLACES == 0, "places go on when the iteration goes round");
 
 /* How far back a walk has come, and the CRC that leads on. */
 typedef struct {
@@ -147,8 +146,8 @@ store_result_t past_trials_keep(const past_trials_t *trials, const law_t *law,
     return vault_save_past(trials->vault, trials->memory->iteration - 1u, past);
 }
 
-uint32_t past_trials_room_bytes(const params_t *params) {
-    return settings_past_kind(params) == PAST_LAST ? 0u : VAULT_PAST_ROOM_BYTES;
+uint32_t past_trials_room_blocks(const params_t *params) {
+    return settings_past_kind(params) == PAST_LAST ? 0u : VAULT_PAST_ROOM_BLOCKS;
 }
 
 uint16_t past_trials_reach(const params_t *params) {

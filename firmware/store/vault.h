@@ -2,8 +2,8 @@
  * The vault: every record of the board by its type, with one way to write each.
  *
  * It owns the files (store.h), the buffer through which a record goes on its way to the flash and
- * back, and the workspace (workspace.h). Nobody else encodes a record and stores it, so that what is
- * critical always goes through store/critical.h with its witness, and the bytes of the key never
+ * back, and the workspace (workspace.h). Nobody else encodes a record and stores it, so that what
+ * is critical always goes through store/critical.h with its witness, and the bytes of the key never
  * stay behind. What was stored is there after a cut, or what was there before.
  *
  * Main loop only; a call that saves takes as long as critical_replace(). Loading gives false, and
@@ -21,7 +21,7 @@
 #define PAST_PATH "/past0.bin" /* to "/past7.bin" */
 #define VAULT_PAST_PLACES 8u
 /* Of the longest past trial, which is written anew beside the one it replaces. */
-#define VAULT_PAST_ROOM_BYTES (3u * STORE_BLOCK_BYTES)
+#define VAULT_PAST_ROOM_BLOCKS 3u
 
 /* Told before a record is read or written, which may take a while: the watchdog's owner. */
 typedef void (*vault_alive_t)(void *context);
@@ -40,8 +40,8 @@ void vault_init(vault_t *vault, vault_alive_t alive, void *context);
 /* All that takes long and is no record either: the loops of others. */
 void vault_still_alive(vault_t *vault);
 
-/* For the salvage: the bytes of |path| into vault->record; their number, 0 when the file is missing,
- * empty or too long for it. */
+/* For the salvage: the bytes of |path| into vault->record; their number, 0 when the file is
+ * missing, empty or too long for it. */
 size_t vault_read(vault_t *vault, const char *path);
 
 bool vault_load_params(vault_t *vault, params_t *out);

@@ -4,6 +4,7 @@
 #include "hal/clock.h"
 #include "hal/system.h"
 #include "settings/settings.h"
+#include "store/erase_ahead.h"
 #include "trial/settle.h"
 
 #include <math.h>
@@ -200,6 +201,7 @@ bool trial_finish(trial_t *trial, uint64_t now_us) {
         trial_feed_watchdog(trial);
     }
     tell_refusal(trial, now_us);
+    erase_ahead_forbid(&vault_of(trial)->store, false);
     const bool stored = trial_run_finish(&trial->run, vault_of(trial)) == STORE_OK;
     workspace_give_back(&vault_of(trial)->workspace, WORKSPACE_ESTIMATE);
     if (!stored) {
@@ -340,8 +342,7 @@ void trial_vision(trial_t *trial, const link_vision_t *sample) {
 void trial_tell_battery(trial_t *trial, const battery_voltage_t *battery) {
     const uint16_t low_mv = settings_battery_low_mv(trial->with.params);
     if (battery->at_limit && battery_tells_limit(&trial->battery, battery, low_mv)) {
-        link_text(trial->with.link, MAV_SEVERITY_WARNING,
-                  fault_info(FAULT_BATTERY_SENSE)->meaning);
+        link_text(trial->with.link, MAV_SEVERITY_WARNING, fault_info(FAULT_BATTERY_SENSE)->meaning);
     }
 }
 

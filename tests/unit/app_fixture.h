@@ -4,9 +4,10 @@
 
 #include "app/app.h"
 #include "app/commands.h"
-#include "store/critical.h"
 #include "base/crc.h"
 #include "mock_hal.h"
+#include "store/critical.h"
+#include "store_size.h"
 #include "unity.h"
 
 #include <math.h>

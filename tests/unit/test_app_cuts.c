@@ -39,7 +39,8 @@ static enum { LOOK, CUT, CUT_TWICE } mode;
 static knowledge_t known_to(const app_t *board) {
     knowledge_t knowledge = {.reference_crc = board->learner.reference.crc,
                              .next_trial = board->trial.next,
-                             .pending = board->trial.run.pending ? board->trial.run.trial.number : 0,
+                             .pending =
+                                 board->trial.run.pending ? board->trial.run.trial.number : 0,
                              .memory = board->learner.memory,
                              .params = board->params};
     knowledge.uploaded = knowledge.pending != 0 && board->trial.run.trial.speed_m_s[0] > 0.03f;
@@ -132,7 +133,7 @@ static void goes_on(void) {
 }
 
 static void darken(cut_kind_t kind, uint32_t offset, const uint8_t *page) {
-    memcpy(dark_hal.flash, hal.flash, sizeof hal.flash);
+    mock_flash_copy(&dark_hal, &hal, false);
     flash_model_attach(&dark_model, &dark_hal, writes * CUT_KINDS + kind);
     flash_model_cut(&dark_model, &dark_hal, kind, offset, page);
 }
@@ -176,7 +177,8 @@ static void cut_twice(uint32_t offset, const uint8_t *page) {
     boot_dark();
     TEST_ASSERT_EQUAL(STATE_IDLE, dark.supervisor.state);
     TEST_ASSERT_GREATER_OR_EQUAL_UINT32(next, dark.trial.next);
-    TEST_ASSERT_TRUE(!dark.trial.run.pending || dark.trial.run.trial.number > dark.learner.memory.last_trial);
+    TEST_ASSERT_TRUE(!dark.trial.run.pending ||
+                     dark.trial.run.trial.number > dark.learner.memory.last_trial);
     TEST_ASSERT_EQUAL_INT32(0, ledger_lost_blocks(&dark.vault.store));
     goes_on();
     pairs_done++;
@@ -200,7 +202,7 @@ static void done(void) {
     TEST_ASSERT_LESS_THAN_UINT32(STEPS_MAX, step);
     learning_began = false;
     if (mode == LOOK) {
-        memcpy(dark_hal.flash, hal.flash, sizeof hal.flash);
+        mock_flash_copy(&dark_hal, &hal, false);
         flash_model_attach(&dark_model, &dark_hal, 1);
         boot_dark();
         after[step] = known_to(&dark);

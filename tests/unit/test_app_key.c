@@ -13,7 +13,7 @@
 #define TODAY (11u * YEAR)
 #define FRAMES_MAX 64u
 #define CUTS_MAX 200u
-#define PAGE HAL_FLASH_PAGE_BYTES
+#define PAGE STORE_PAGE_BYTES
 
 static const uint8_t key_a[SIGNING_KEY_BYTES] = {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14};
 static const uint8_t key_b[SIGNING_KEY_BYTES] = {31, 32, 33, 34, 35, 36, 37, 38, 39, 40, 41};
@@ -171,7 +171,7 @@ static void test_a_time_that_makes_no_sense(void) {
 /* Older versions of the file, which a boot would go back to. */
 static void spoil_copies(void) {
     key_record_t record;
-    for (uint32_t at = 0; at < HAL_FLASH_SIZE_BYTES; at += STORE_BLOCK_BYTES) {
+    for (uint32_t at = 0; at < MOCK_FLASH_BYTES; at += BLOCK_BYTES) {
         if (record_decode_key(hal.flash + at, RECORD_KEY_MAX_BYTES, &record) == FAULT_NONE) {
             hal.flash[at + 21u] ^= 0x5A;
         }
@@ -190,7 +190,8 @@ static void expect_locked(void) {
 static void test_a_key_that_cannot_be_read(void) {
     static uint8_t bytes[sizeof app.vault.record + 1u];
     (void)set_key(key_a, TODAY);
-    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.vault.store, KEY_PATH, bytes, RECORD_KEY_MAX_BYTES));
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_load(&app.vault.store, KEY_PATH, bytes, RECORD_KEY_MAX_BYTES));
     static const size_t lengths[] = {0, 20, RECORD_KEY_MAX_BYTES - 1u, sizeof bytes};
     for (size_t i = 0; i < 4; i++) {
         TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, KEY_PATH, bytes, lengths[i]));
@@ -323,8 +324,8 @@ static void test_without_its_store_nothing_swims(void) {
     TEST_ASSERT_EQUAL(FAULT_NO_REFERENCE, command(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_EQUAL(FAULT_STORAGE, set_key(key_b, TODAY));
     const size_t length = encode_flat_reference(5, 0.04f);
-    TEST_ASSERT_NOT_EQUAL(STORE_OK,
-                          store_replace(&app.vault.store, "/in/reference.bin", upload_bytes, length));
+    TEST_ASSERT_NOT_EQUAL(
+        STORE_OK, store_replace(&app.vault.store, "/in/reference.bin", upload_bytes, length));
     TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
 }
 
@@ -382,8 +383,8 @@ static void live(void) {
     say_clear(clock_now() + 5u);
 }
 
-static uint8_t start[HAL_FLASH_SIZE_BYTES], after_cut[HAL_FLASH_SIZE_BYTES];
-static uint8_t one_page_more[HAL_FLASH_SIZE_BYTES];
+static uint8_t start[MOCK_FLASH_BYTES], after_cut[MOCK_FLASH_BYTES];
+static uint8_t one_page_more[MOCK_FLASH_BYTES];
 
 /* True when it came to its end before the cut. */
 static bool live_until(uint32_t pages) {
@@ -400,7 +401,7 @@ static bool live_until(uint32_t pages) {
 
 /* The page that was being written holds half of the new over the old. */
 static void tear_page(void) {
-    for (uint32_t at = 0; at < HAL_FLASH_SIZE_BYTES; at += PAGE) {
+    for (uint32_t at = 0; at < MOCK_FLASH_BYTES; at += PAGE) {
         if (memcmp(after_cut + at, one_page_more + at, PAGE) != 0) {
             memcpy(hal.flash + at, one_page_more + at, PAGE / 2u);
             return;

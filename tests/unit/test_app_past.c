@@ -1,8 +1,8 @@
 /* Laws that average: the board against the learner that keeps its trials in RAM, bit for bit; what
  * ends an average; and laws that are refused. */
-#include "settings/settings.h"
 #include "ilc/learner.h"
 #include "past_fixture.h"
+#include "settings/settings.h"
 
 #include <stdio.h>
 
@@ -100,8 +100,8 @@ static void begin_learner(past_kind_t past, uint16_t window) {
     for (uint32_t k = 0; k < BEATS; k++) {
         first[k] = config.law.kp_rad_s_m * SPEED;
     }
-    TEST_ASSERT_EQUAL(
-        LAW_OK, buffer_learner_init(&learner, &config, first, buffer_learner_memory, sizeof buffer_learner_memory));
+    TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_init(&learner, &config, first, buffer_learner_memory,
+                                                  sizeof buffer_learner_memory));
 }
 
 static void expect_same_as_learner(void) {
@@ -320,7 +320,8 @@ static void remove_the_second(void) { (void)store_remove(&app.vault.store, "/pas
 
 static void put_the_first_there(void) {
     const size_t length = vault_read(&app.vault, "/past1.bin");
-    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, "/past2.bin", app.vault.record, length));
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_replace(&app.vault.store, "/past2.bin", app.vault.record, length));
 }
 
 static void leave_it(void) {}
@@ -378,7 +379,7 @@ static void test_a_write_that_fails_changes_nothing(void) {
 
 /* Each a block long. */
 static void leave_past_files(void) {
-    static uint8_t filler[STORE_BLOCK_BYTES];
+    static uint8_t filler[BLOCK_BYTES];
     for (char number = '0'; number < '0' + (char)VAULT_PAST_PLACES; number++) {
         char path[] = PAST_PATH;
         path[5] = number;
@@ -387,10 +388,10 @@ static void leave_past_files(void) {
 }
 
 static void fill_store(uint32_t free_blocks) {
-    static uint8_t filler[STORE_BLOCK_BYTES];
+    static uint8_t filler[BLOCK_BYTES];
     static store_file_t file;
     TEST_ASSERT_EQUAL(STORE_OK, store_open(&app.vault.store, &file, "/in/filler", STORE_WRITE_NEW));
-    while (store_free_bytes(&app.vault.store) > free_blocks * STORE_BLOCK_BYTES) {
+    while (store_free_bytes(&app.vault.store) > free_blocks * BLOCK_BYTES) {
         TEST_ASSERT_EQUAL(STORE_OK, store_append(&app.vault.store, &file, filler, sizeof filler));
         TEST_ASSERT_EQUAL(STORE_OK, store_sync(&app.vault.store, &file));
     }
@@ -555,7 +556,8 @@ static void test_a_stored_law_that_is_none_falls_back(void) {
         params.value[PARAM_ILC_KIND] = kind;
         params.value[PARAM_ILC_GAIN] = 3.5f;
         const size_t length = record_encode_params(&params, app.vault.record);
-        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, PARAMS_PATH, app.vault.record, length));
+        TEST_ASSERT_EQUAL(STORE_OK,
+                          store_replace(&app.vault.store, PARAMS_PATH, app.vault.record, length));
         TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_LOAD, 0));
         TEST_ASSERT_EQUAL_FLOAT(PAST_LAST, app.params.value[PARAM_ILC_KIND]);
         TEST_ASSERT_EQUAL_FLOAT(3.5f, app.params.value[PARAM_ILC_GAIN]);

@@ -22,9 +22,9 @@ static fault_t command_with_failing_flash(link_command_id_t id, uint32_t trial, 
 
 /* Every block that begins with |magic|. */
 static void wipe_records(const char *magic) {
-    for (uint32_t at = 0; at < sizeof hal.flash; at += STORE_BLOCK_BYTES) {
+    for (uint32_t at = 0; at < sizeof hal.flash; at += BLOCK_BYTES) {
         if (memcmp(hal.flash + at, magic, 4) == 0) {
-            memset(hal.flash + at, 0xFF, STORE_BLOCK_BYTES);
+            memset(hal.flash + at, 0xFF, BLOCK_BYTES);
         }
     }
 }
@@ -214,7 +214,8 @@ static void test_an_endless_beat_is_refused(void) {
 
 static void store_params_and_reboot(void) {
     const size_t length = record_encode_params(&app.params, app.vault.record);
-    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, PARAMS_PATH, app.vault.record, length));
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_replace(&app.vault.store, PARAMS_PATH, app.vault.record, length));
     reboot();
 }
 

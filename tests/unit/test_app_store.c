@@ -201,7 +201,8 @@ static void test_what_an_older_firmware_learned_stays(void) {
     (void)bytes_put_u16(upload_bytes + 4, 1);
     const uint32_t front = crc32_update(0, upload_bytes, 8);
     (void)bytes_put_u32(upload_bytes + 8, crc32_update(front, upload_bytes + 12, length - 12u));
-    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, "/learned.bin", upload_bytes, length));
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_replace(&app.vault.store, "/learned.bin", upload_bytes, length));
     reboot();
     TEST_ASSERT_EQUAL(2, app.learner.memory.iteration);
     TEST_ASSERT_EQUAL(0, app.learner.memory.visits[BEATS - 1u]);
@@ -243,7 +244,8 @@ static void test_failing_flash_refuses_uploaded_speeds_and_keeps_the_measured_on
     swim_whole_trial(BEATS, SPEED);
     const float measured_m_s = app.trial.run.trial.speed_m_s[1];
     const size_t length = encode_speeds(1, BEATS, 0.03f);
-    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, "/in/speeds.bin", upload_bytes, length));
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_replace(&app.vault.store, "/in/speeds.bin", upload_bytes, length));
     hal.flash_fail_after = hal.flash_writes;
     const link_command_t request = {.id = LINK_COMMAND_COMMIT,
                                     .file = LINK_FILE_SPEEDS,
@@ -306,7 +308,7 @@ static void test_flash_that_fails_while_armed_or_during_an_upload_is_a_fault(voi
 }
 
 static void test_a_full_store_is_no_fault(void) {
-    static uint8_t piece[60u * STORE_BLOCK_BYTES];
+    static uint8_t piece[60u * BLOCK_BYTES];
     store_result_t result = STORE_OK;
     char path[] = "/in/a";
     for (size_t length = sizeof piece; length > 0; length /= 2u) {
@@ -367,7 +369,8 @@ static void test_a_crash_is_told_and_kept_in_a_file(void) {
     uint32_t length = 0;
     crash_report_t report;
     TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.vault.store, "/crash.bin", &length));
-    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.vault.store, "/crash.bin", app.vault.record, length));
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_load(&app.vault.store, "/crash.bin", app.vault.record, length));
     TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_crash(app.vault.record, length, &report));
     TEST_ASSERT_EQUAL_STRING(link_build_id(), report.build_id);
     TEST_ASSERT_EQUAL_STRING("gait.c:12", report.crash.where);

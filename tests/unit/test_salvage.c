@@ -10,7 +10,7 @@
 #define SPEED 0.05f
 #define MAGIC_BYTES 4u
 
-static uint8_t record[RECORD_TRIAL_MAX_BYTES], whole[HAL_FLASH_SIZE_BYTES];
+static uint8_t record[RECORD_TRIAL_MAX_BYTES], whole[MOCK_FLASH_BYTES];
 static memory_t learned;
 
 void setUp(void) { fixture_reset(); }
@@ -30,7 +30,7 @@ static void live(void) {
 }
 
 static void wipe_block(uint32_t block, uint8_t with) {
-    memset(hal.flash + block * STORE_BLOCK_BYTES, with, STORE_BLOCK_BYTES);
+    memset(hal.flash + block * BLOCK_BYTES, with, BLOCK_BYTES);
 }
 
 static void wipe_superblocks(uint8_t with) {
@@ -150,10 +150,11 @@ static void damage_file(const char *path) {
     lfs_file_t file;
     static uint8_t cache[STORE_CACHE_BYTES];
     const struct lfs_file_config config = {.buffer = cache};
-    TEST_ASSERT_EQUAL_INT(0, lfs_file_opencfg(&app.vault.store.lfs, &file, path, LFS_O_RDONLY, &config));
+    TEST_ASSERT_EQUAL_INT(
+        0, lfs_file_opencfg(&app.vault.store.lfs, &file, path, LFS_O_RDONLY, &config));
     const uint32_t head = file.ctz.head;
     (void)lfs_file_close(&app.vault.store.lfs, &file);
-    hal.flash[head * STORE_BLOCK_BYTES + length / 2u] ^= 0x10u;
+    hal.flash[head * BLOCK_BYTES + length / 2u] ^= 0x10u;
 }
 
 static void test_a_damaged_file_costs_itself_only(void) {
@@ -198,8 +199,7 @@ static void test_learned_input_that_contradicts_itself_is_damaged(void) {
 }
 
 static void wipe_witness(void) {
-    memset(hal.flash + STORE_DATA_BLOCKS * STORE_BLOCK_BYTES, 0xFF,
-           STORE_RAW_BLOCKS * STORE_BLOCK_BYTES);
+    memset(hal.flash + DATA_BLOCKS * BLOCK_BYTES, 0xFF, STORE_RAW_BLOCKS * BLOCK_BYTES);
 }
 
 /* The witness names the newest of several copies. Without it only equal ones count. */
@@ -240,9 +240,9 @@ static void test_the_newest_reference_comes_back_with_what_was_learned_for_it(vo
 static void test_numbers_go_on_when_only_the_trials_tell_them(void) {
     swim_whole_trial(BEATS, SPEED);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, 1));
-    for (uint32_t at = 0; at < sizeof hal.flash; at += STORE_BLOCK_BYTES) {
+    for (uint32_t at = 0; at < sizeof hal.flash; at += BLOCK_BYTES) {
         if (memcmp(hal.flash + at, "TB", 2) == 0) {
-            memset(hal.flash + at, 0xFF, STORE_BLOCK_BYTES);
+            memset(hal.flash + at, 0xFF, BLOCK_BYTES);
         }
     }
     wipe_superblocks(0xFF);
@@ -263,9 +263,9 @@ static void test_long_records_come_back(void) {
                             .last_trial = n,
                             .iteration = (uint16_t)(n + 1u)};
         trial = (trial_record_t){.number = n + 1u,
-                          .reference_crc = app.learner.reference.crc,
-                          .beats = BEATS_MAX,
-                          .executed = BEATS_MAX};
+                                 .reference_crc = app.learner.reference.crc,
+                                 .beats = BEATS_MAX,
+                                 .executed = BEATS_MAX};
         for (uint32_t k = 0; k < BEATS_MAX; k++) {
             memory.amplitude_rad[k] = 0.001f * (float)(k * n % 301u);
             trial.amplitude_rad[k] = memory.amplitude_rad[k];
@@ -288,8 +288,8 @@ static void test_long_records_come_back(void) {
 static void store_key(bool set, uint8_t fill, uint64_t mark) {
     key_record_t key = {.set = set, .mark = mark};
     memset(key.key, set ? fill : 0, sizeof key.key);
-    TEST_ASSERT_EQUAL(STORE_OK,
-                      store_replace(&app.vault.store, KEY_PATH, record, record_encode_key(&key, record)));
+    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, KEY_PATH, record,
+                                              record_encode_key(&key, record)));
 }
 
 static key_record_t stored_key(void) {
@@ -388,7 +388,7 @@ static void test_a_key_that_cannot_be_saved_leaves_a_locked_board(void) {
     store_key(true, 1, 1000);
     uint8_t magic[MAGIC_BYTES];
     memcpy(magic, record, sizeof magic);
-    for (uint32_t at = 0; at < sizeof hal.flash; at += STORE_BLOCK_BYTES) {
+    for (uint32_t at = 0; at < sizeof hal.flash; at += BLOCK_BYTES) {
         if (memcmp(hal.flash + at, magic, sizeof magic) == 0) {
             hal.flash[at + 20u] ^= 1u;
         }
