@@ -256,9 +256,10 @@ HOST_LAYERS = (
     ("core", "records, laws, native library"),
 )
 FIRMWARE_LAYERS = (
-    ("app", "main loop, 50 Hz tick"),
+    ("app", "main loop, commands"),
+    ("trial, learn", "a trial; what it changes"),
     ("link", "MAVLink"),
-    ("store", "littlefs, trial log"),
+    ("store", "littlefs, records, trial log"),
     ("ilc, gait, speed, imu, …", "pure modules"),
     ("hal/include", "HAL interface"),
 )
@@ -272,7 +273,7 @@ def layers() -> Canvas:
         c.box(170, 55 + 44 * number, 310, 36, f"{name}", what, accent=name == "core")
     c.text(550, 20, "firmware (C)", 14)
     for number, (name, what) in enumerate(FIRMWARE_LAYERS):
-        c.box(550, 60 + 62 * number, 300, 46, name, what, accent=name == "hal/include")
+        c.box(550, 60 + 50 * number, 300, 40, name, what, accent=name == "hal/include")
     for x, name, what in (
         (445, "sam3x8e", "the chip"),
         (550, "sim", "with a fish"),
@@ -282,7 +283,7 @@ def layers() -> Canvas:
         c.arrow([(x, 362), (x, 332)])
     c.arrow([(340, 80), (340, 430)])
     c.text(170, 490, "each layer uses only the layers below", 12, SOFT)
-    c.arrow([(325, 451), (378, 451), (378, 246), (399, 246)], accent=True)
+    c.arrow([(325, 451), (378, 451), (378, 260), (399, 260)], accent=True)
     c.text(390, 452, "core loads the same compiled C", 12, ACCENT, "start")
     return c
 

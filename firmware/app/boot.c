@@ -1,135 +1,103 @@
-#include "app/app_internal.h"
-#include "app/settings.h"
+#include "app/boot.h"
+
 #include "hal/clock.h"
-#include "hal/serial.h"
 #include "hal/system.h"
+#include "settings/settings.h"
+#include "store/salvage.h"
 
 #include <string.h>
-
-size_t boot_load_record(app_t *app, const char *path) {
-    uint32_t length = 0;
-    if (store_size(&app->store, path, &length) != STORE_OK || length > sizeof app->record ||
-        store_load(&app->store, path, app->record, length) != STORE_OK) {
-        return 0;
-    }
-    return length;
-}
-
-bool boot_keep_crash(app_t *app) {
-    crash_report_t report = {0};
-    if (!hal_crash_read(app->hal, &report.crash)) {
-        return false;
-    }
-    key_hide(app, (uint8_t *)&report.crash, sizeof report.crash);
-    (void)strncpy(report.build_id, link_build_id(), BUILD_ID_BYTES - 1u);
-    for (uint32_t i = 0; i < HAL_CRASH_REGISTERS; i++) {
-        (void)strncpy(report.register_names[i], hal_crash_register(app->hal, i),
-                      HAL_CRASH_NAME_BYTES - 1u);
-    }
-    const size_t length = record_encode_crash(&report, app->record);
-    if (store_replace(&app->store, CRASH_PATH, app->record, length) == STORE_OK) {
-        hal_crash_forget(app->hal);
-    }
-    return true;
-}
-
-bool boot_apply_params(app_t *app) {
-    const imu_driver_config_t config = settings_imu(&app->params);
-    if (!imu_driver_config_valid(&config) ||
-        !hal_serial_set_baud(app->hal, HAL_PORT_IMU, config.baud)) {
-        return false;
-    }
-    imu_configure(&app->imu, &config, hal_time_us(app->hal));
-    return true;
-}
 
 /* Stored values that contradict each other: the IMU runs as if they had never been set. */
 static void reset_imu_params(app_t *app) {
     for (param_t param = PARAM_IMU_BAUD; param <= PARAM_IMU_MOUNT; param++) {
         app->params.value[param] = param_info(param)->fallback;
     }
-    (void)boot_apply_params(app);
+    (void)sensor_configure(&app->sensor, &app->params);
 }
 
 /* A file of another firmware may hold what this one refuses. */
-static void reset_refused_params(app_t *app) {
+static void reset_refused_params(params_t *params) {
     for (uint32_t i = 0; i < PARAM_COUNT; i++) {
-        if (settings_refusal((param_t)i, app->params.value[i]) != FAULT_NONE) {
-            app->params.value[i] = param_info((param_t)i)->fallback;
+        if (settings_refusal((param_t)i, params->value[i]) != FAULT_NONE) {
+            params->value[i] = param_info((param_t)i)->fallback;
         }
     }
 }
 
 void boot_load_params(app_t *app) {
     params_reset(&app->params);
-    const size_t length = boot_load_record(app, PARAMS_PATH);
-    uint16_t ignored = 0;
-    if (length != 0) {
-        (void)record_decode_params(app->record, length, &app->params, &ignored);
-    }
-    reset_refused_params(app);
-    if (!boot_apply_params(app)) {
+    (void)vault_load_params(&app->vault, &app->params);
+    reset_refused_params(&app->params);
+    if (!sensor_configure(&app->sensor, &app->params)) {
         reset_imu_params(app);
     }
 }
 
-static void load_reference(app_t *app) {
-    const size_t length = boot_load_record(app, REFERENCE_PATH);
-    if (length == 0 ||
-        record_decode_reference(app->record, length, &app->reference) != FAULT_NONE) {
-        app->reference.beats = 0;
-        app->reference.crc = 0;
+static void tell_fates(link_t *link, const salvage_report_t *report) {
+    static const char words[][8] = {
+        [SALVAGE_SAVED] = "saved ",
+        [SALVAGE_OLDER] = "older ",
+        [SALVAGE_LOST] = "lost ",
+    };
+    for (uint32_t kind = 0; kind < CRITICAL_COUNT; kind++) {
+        char text[sizeof words[0] + STORE_PATH_BYTES];
+        if (report->fate[kind] != SALVAGE_UNTOUCHED) {
+            strcpy(text, words[report->fate[kind]]);
+            strcat(text, critical_path((critical_t)kind));
+            link_text(link, MAV_SEVERITY_WARNING, text);
+        }
     }
 }
 
-void boot_load_memory(app_t *app) {
-    const size_t length = boot_load_record(app, LEARNED_PATH);
-    const bool loaded =
-        length != 0 && record_decode_memory(app->record, length, &app->memory) == FAULT_NONE;
-    if (!loaded) {
-        memset(&app->memory, 0, sizeof app->memory);
+/* Whether the run before this one crashed. Its record goes to the store, and is kept in RAM as long
+ * as it cannot be stored. */
+static bool keep_crash(app_t *app) {
+    crash_report_t report = {0};
+    if (!hal_crash_read(app->hal, &report.crash)) {
+        return false;
     }
-    const bool of_reference = app->memory.reference_crc == app->reference.crc &&
-                              app->memory.beats == app->reference.beats;
-    if (!of_reference && app->reference.beats != 0) {
-        memory_begin(&app->memory, app->reference.crc, app->reference.beats);
+    keyring_hide(&app->keyring, (uint8_t *)&report.crash, sizeof report.crash);
+    (void)strncpy(report.build_id, link_build_id(), BUILD_ID_BYTES - 1u);
+    for (uint32_t i = 0; i < HAL_CRASH_REGISTERS; i++) {
+        (void)strncpy(report.register_names[i], hal_crash_register(app->hal, i),
+                      HAL_CRASH_NAME_BYTES - 1u);
     }
-}
-
-/* The file of a trial that was learned from stays until the next one replaces it. Without its
- * reference a trial cannot be learned from, but nobody has dropped it either. */
-static void load_pending(app_t *app) {
-    trial_run_load(&app->run, &app->store, app->record);
-    const trial_t *trial = &app->run.trial;
-    app->run.pending = app->run.pending && trial->number > app->memory.last_trial &&
-                       trial->reference_crc == app->reference.crc;
-}
-
-static uint32_t at_least(uint32_t a, uint32_t b) { return a > b ? a : b; }
-
-static uint32_t counted(app_t *app, size_t length) {
-    uint32_t next = 1;
-    return length != 0 && record_decode_counter(app->record, length, &next) == FAULT_NONE ? next
-                                                                                          : 1u;
-}
-
-/* The counter is the rule; the others save the number if it is lost. */
-static void load_next_trial(app_t *app) {
-    witness_t witness;
-    uint32_t next = counted(app, boot_load_record(app, COUNTER_PATH));
-    if (witness_read(&app->store, &witness)) {
-        next = at_least(next, counted(app, critical_copy(&witness, CRITICAL_COUNTER, app->record)));
+    if (vault_save_crash(&app->vault, &report) == STORE_OK) {
+        hal_crash_forget(app->hal);
     }
-    next = at_least(next, app->memory.last_trial + 1u);
-    next = at_least(next, app->run.trial.number + 1u);
-    app->next_trial = at_least(next, store_newest_trial(&app->store) + 1u);
+    return true;
 }
 
-void boot_load(app_t *app) {
+static fault_t judge(const app_t *app, store_result_t mounted, bool key_readable, bool crashed) {
+    if (mounted == STORE_TOO_SMALL || mounted == STORE_BAD_GEOMETRY) {
+        return FAULT_STORE_UNFIT;
+    }
+    if (mounted != STORE_OK) {
+        return FAULT_STORAGE;
+    }
+    if (!key_readable) {
+        return FAULT_KEY_UNREADABLE;
+    }
+    if (crashed) {
+        return FAULT_CRASH;
+    }
+    if (hal_reset_cause(app->hal) == HAL_RESET_WATCHDOG) {
+        return FAULT_WATCHDOG;
+    }
+    return hal_clock_exact(app->hal) ? FAULT_NONE : FAULT_CLOCK;
+}
+
+fault_t boot_load(app_t *app) {
+    salvage_report_t lost;
+    const store_result_t mounted = salvage_mount(&app->vault, app->hal, &lost);
+    tell_fates(&app->link, &lost);
+    if (lost.lock_key) {
+        signing_lock(&app->link.signing);
+    }
+    const bool key_readable = keyring_load(&app->keyring); /* first: the crash must not tell it */
+    const bool crashed = keep_crash(app);
     boot_load_params(app);
-    load_reference(app);
-    boot_load_memory(app);
-    load_pending(app);
-    load_next_trial(app);
-    app->executed = app->run.trial.executed;
+    learner_load(&app->learner);
+    trial_load(&app->trial);
+    return lost.fault != FAULT_NONE ? lost.fault : judge(app, mounted, key_readable, crashed);
 }

@@ -1,12 +1,23 @@
-#include "app/app_internal.h"
-#include "app/settings.h"
+#include "app/commands.h"
+
+#include "app/boot.h"
+#include "app/damage.h"
+#include "app/status.h"
+#include "app/uploads.h"
 #include "hal/clock.h"
-#include "hal/system.h"
+#include "settings/settings.h"
+#include "store/critical.h"
+#include "trial/start.h"
+
+#include <math.h>
+
+/* A reboot waits this long, so that its acknowledgement still goes out. */
+#define REBOOT_DELAY_US 200000u
 
 /* Stopping is always allowed: it cuts a trial, disarms, or does nothing. */
 static fault_t stop_by_command(app_t *app, fault_t reason) {
     if (app->supervisor.state == STATE_RUNNING) {
-        swim_stop(app, reason);
+        trial_stop(&app->trial, reason);
     } else {
         (void)supervisor_event(&app->supervisor, EVENT_DISARM, FAULT_NONE);
     }
@@ -25,10 +36,10 @@ static fault_t clear(app_t *app) {
     if (!supervisor_allows(&app->supervisor, EVENT_CLEAR)) {
         return FAULT_WRONG_STATE;
     }
-    if (!swim_finish(app, hal_time_us(app->hal))) {
+    if (!trial_finish(&app->trial, hal_time_us(app->hal))) {
         return FAULT_WRITE_FAILED;
     }
-    if (critical_set_alarm(&app->store, false) == STORE_IO) {
+    if (critical_set_alarm(&app->vault.store, false) == STORE_IO) {
         return FAULT_WRITE_FAILED;
     }
     (void)supervisor_event(&app->supervisor, EVENT_CLEAR, FAULT_NONE);
@@ -36,22 +47,17 @@ static fault_t clear(app_t *app) {
 }
 
 static fault_t change_params(app_t *app, link_command_id_t id) {
-    if (app->supervisor.state != STATE_IDLE) {
-        return FAULT_WRONG_STATE;
-    }
     if (id == LINK_COMMAND_PARAMS_LOAD) {
         boot_load_params(app);
         return FAULT_NONE;
     }
     if (id == LINK_COMMAND_PARAMS_RESET) {
         params_reset(&app->params);
-        (void)boot_apply_params(app);
+        (void)sensor_configure(&app->sensor, &app->params);
         return FAULT_NONE;
     }
-    const size_t length = record_encode_params(&app->params, app->record);
-    return critical_replace(&app->store, CRITICAL_PARAMS, app->record, length) == STORE_OK
-               ? FAULT_NONE
-               : FAULT_WRITE_FAILED;
+    return vault_save_params(&app->vault, &app->params) == STORE_OK ? FAULT_NONE
+                                                                    : FAULT_WRITE_FAILED;
 }
 
 static fault_t reboot(app_t *app) {
@@ -59,55 +65,104 @@ static fault_t reboot(app_t *app) {
     if (state != STATE_IDLE && state != STATE_ABORTED && state != STATE_FAULT) {
         return FAULT_WRONG_STATE;
     }
-    (void)swim_finish(app, hal_time_us(app->hal));
-    app->reboot_at_us = hal_time_us(app->hal) + APP_REBOOT_DELAY_US;
+    (void)trial_finish(&app->trial, hal_time_us(app->hal));
+    app->loop.reboot_at_us = hal_time_us(app->hal) + REBOOT_DELAY_US;
     return FAULT_NONE;
 }
 
-static fault_t change_imu(app_t *app, const link_command_t *command) {
+static fault_t arm(app_t *app, const link_command_t *command) {
+    return app->loop.reboot_at_us != 0 ? FAULT_WRONG_STATE : start_arm(&app->trial, command);
+}
+
+static void tell_learned(link_t *link, const learner_t *learner, const trial_record_t *trial,
+                         const learner_outcome_t *outcome) {
+    const memory_t *memory = &learner->memory;
+    const link_learn_report_t message = {
+        .trial = trial->number,
+        .iteration = trial->iteration,
+        .report = outcome->report,
+        .best_max_abs_error_m_s =
+            memory->best_iteration != 0 ? memory->best_max_abs_error_m_s : NAN,
+    };
+    if (outcome->shortened) {
+        link_text(link, MAV_SEVERITY_NOTICE, "earlier trials are missing in the average");
+    }
+    link_learned(link, &message);
+}
+
+static fault_t learn_pending(app_t *app) {
+    trial_run_t *run = &app->trial.run;
+    learner_outcome_t outcome;
+    (void)supervisor_event(&app->supervisor, EVENT_LEARN, FAULT_NONE);
+    const fault_t fault = learner_learn(&app->learner, &run->trial, &outcome);
+    if (fault == FAULT_NONE) {
+        run->pending = false; /* its file stays, for the next trial to replace: the memory tells */
+        tell_learned(&app->link, &app->learner, &run->trial, &outcome);
+    }
+    (void)supervisor_event(&app->supervisor, EVENT_LEARNED, FAULT_NONE);
+    return fault;
+}
+
+static fault_t learn(app_t *app, uint32_t number) {
+    if (!supervisor_allows(&app->supervisor, EVENT_LEARN)) {
+        return FAULT_WRONG_STATE;
+    }
+    const bool waiting = app->trial.run.pending && number == app->trial.run.trial.number;
+    if (number != 0 && number == app->learner.memory.last_trial) {
+        return waiting ? trial_discard(&app->trial, number) : FAULT_NONE;
+    }
+    return waiting ? learn_pending(app) : FAULT_NO_TRIAL;
+}
+
+static fault_t restore_best(app_t *app) {
+    return app->trial.run.pending ? FAULT_TRIAL_PENDING : learner_restore_best(&app->learner);
+}
+
+/* What changes the board and is possible in IDLE only. */
+static fault_t run_in_idle(app_t *app, const link_command_t *command) {
     if (app->supervisor.state != STATE_IDLE) {
         return FAULT_WRONG_STATE;
     }
-    if (app->imu.driver.state != IMU_STREAMING) {
-        return FAULT_NO_IMU;
+    switch (command->id) {
+    case LINK_COMMAND_DISCARD:
+        return trial_discard(&app->trial, command->trial);
+    case LINK_COMMAND_RESTORE_BEST:
+        return restore_best(app);
+    case LINK_COMMAND_COMMIT:
+        return uploads_commit(app, command);
+    case LINK_COMMAND_IMU_SAVE:
+    case LINK_COMMAND_IMU_ROW:
+        return sensor_command(&app->sensor, command);
+    default:
+        return change_params(app, command->id);
     }
-    if (command->id == LINK_COMMAND_IMU_SAVE) {
-        imu_driver_save(&app->imu.driver);
-        return FAULT_NONE;
-    }
-    return imu_driver_give_row(&app->imu.driver, command->row, command->element) ? FAULT_NONE
-                                                                                 : FAULT_BAD_DATA;
 }
 
 static fault_t run(app_t *app, const link_command_t *command) {
     switch (command->id) {
     case LINK_COMMAND_ARM:
-        return swim_arm(app, command);
+        return arm(app, command);
     case LINK_COMMAND_DISARM:
         return disarm(app);
     case LINK_COMMAND_START:
-        return swim_start(app, command);
+        return start_swim(&app->trial, command);
     case LINK_COMMAND_ABORT:
         return stop_by_command(app, command->wall ? FAULT_WALL : FAULT_ABORT_COMMAND);
     case LINK_COMMAND_LEARN:
-        return learn_trial(app, command->trial);
-    case LINK_COMMAND_DISCARD:
-        return learn_discard(app, command->trial);
-    case LINK_COMMAND_RESTORE_BEST:
-        return learn_restore_best(app);
+        return learn(app, command->trial);
     case LINK_COMMAND_CLEAR:
         return clear(app);
+    case LINK_COMMAND_REBOOT:
+        return reboot(app);
+    case LINK_COMMAND_DISCARD:
+    case LINK_COMMAND_RESTORE_BEST:
     case LINK_COMMAND_COMMIT:
-        return uploads_commit(app, command);
     case LINK_COMMAND_PARAMS_LOAD:
     case LINK_COMMAND_PARAMS_SAVE:
     case LINK_COMMAND_PARAMS_RESET:
-        return change_params(app, command->id);
-    case LINK_COMMAND_REBOOT:
-        return reboot(app);
     case LINK_COMMAND_IMU_SAVE:
     case LINK_COMMAND_IMU_ROW:
-        return change_imu(app, command);
+        return run_in_idle(app, command);
     }
     return FAULT_UNKNOWN_COMMAND;
 }
@@ -115,8 +170,8 @@ static fault_t run(app_t *app, const link_command_t *command) {
 /* What is told with the acknowledgement is already so. */
 fault_t commands_run(void *context, const link_command_t *command) {
     app_t *app = context;
-    const fault_t fault = app_judge_write(app, run(app, command));
-    app_refresh_status(app);
+    const fault_t fault = damage_judge(app, run(app, command));
+    status_refresh(app);
     return fault;
 }
 
@@ -134,9 +189,19 @@ fault_t commands_param_set(void *context, param_t param, float value) {
         return FAULT_BAD_PARAM;
     }
     const bool of_imu = param >= PARAM_IMU_BAUD && param <= PARAM_IMU_MOUNT;
-    if (of_imu && value != before && !boot_apply_params(app)) {
+    if (of_imu && value != before && !sensor_configure(&app->sensor, &app->params)) {
         app->params.value[param] = before;
         return FAULT_BAD_PARAM;
     }
     return FAULT_NONE;
+}
+
+fault_t commands_set_key(void *context, const uint8_t *key, uint64_t time) {
+    app_t *app = context;
+    const state_t state = app->supervisor.state;
+    const bool still = state == STATE_IDLE || state == STATE_ABORTED || state == STATE_FAULT;
+    if (!still || trial_is_open(&app->trial)) {
+        return FAULT_WRONG_STATE;
+    }
+    return damage_judge(app, keyring_set(&app->keyring, key, time));
 }

@@ -5,14 +5,14 @@
 #include <string.h>
 
 /* Trials kept beside the running one, each with an amplitude and an error per sample. */
-static size_t kept_trials(const learner_config_t *config) {
+static size_t kept_trials(const buffer_learner_config_t *config) {
     if (config->past == PAST_WINDOW) {
         return config->window - 1u;
     }
     return config->past == PAST_MEAN ? 1u : 0u;
 }
 
-static bool weights_finite(const learner_config_t *config) {
+static bool weights_finite(const buffer_learner_config_t *config) {
     bool finite = true;
     for (uint32_t j = 0; j < config->window; j++) {
         const law_weights_t *weight = &config->weight[j];
@@ -24,7 +24,7 @@ static bool weights_finite(const learner_config_t *config) {
 
 /* How large the weighted inputs can get: so that with the corrections of a whole window, LAW_LIMIT
  * for each trial, the filter's sums stay finite (law.h). */
-static bool inputs_bounded(const learner_config_t *config) {
+static bool inputs_bounded(const buffer_learner_config_t *config) {
     const number_t low = number_abs(config->law.amplitude_min_rad);
     const number_t high = number_abs(config->law.amplitude_max_rad);
     const bool grows = config->history == LEARNER_HISTORY_NONE;
@@ -38,7 +38,7 @@ static bool inputs_bounded(const learner_config_t *config) {
     return largest * (low > high ? low : high) <= LEARNER_INPUT_LIMIT;
 }
 
-static bool config_valid(const learner_config_t *config) {
+static bool config_valid(const buffer_learner_config_t *config) {
     const bool window = config->past != PAST_WINDOW ||
                         (config->window >= 1u && config->window <= LEARNER_WINDOW_MAX &&
                          (unsigned)config->history <= LEARNER_HISTORY_NONE &&
@@ -48,7 +48,7 @@ static bool config_valid(const learner_config_t *config) {
            law_check(&config->law, config->samples) == LAW_OK;
 }
 
-size_t learner_bytes(const learner_config_t *config) {
+size_t buffer_learner_bytes(const buffer_learner_config_t *config) {
     if (!config_valid(config)) {
         return 0;
     }
@@ -57,7 +57,7 @@ size_t learner_bytes(const learner_config_t *config) {
     return (numbers * sizeof(number_t) + 1u + kept) * config->samples;
 }
 
-static void share_out(learner_t *learner, void *memory) {
+static void share_out(buffer_learner_t *learner, void *memory) {
     const size_t samples = learner->config.samples;
     const size_t kept = kept_trials(&learner->config);
     learner->amplitude = memory;
@@ -69,8 +69,8 @@ static void share_out(learner_t *learner, void *memory) {
     learner->past_measured = learner->measured + samples;
 }
 
-static void fill_history(learner_t *learner) {
-    const learner_config_t *config = &learner->config;
+static void fill_history(buffer_learner_t *learner) {
+    const buffer_learner_config_t *config = &learner->config;
     if (config->past != PAST_WINDOW || config->history != LEARNER_HISTORY_FIRST) {
         return;
     }
@@ -81,9 +81,9 @@ static void fill_history(learner_t *learner) {
     }
 }
 
-law_result_t learner_init(learner_t *learner, const learner_config_t *config, const number_t *first,
+law_result_t buffer_learner_init(buffer_learner_t *learner, const buffer_learner_config_t *config, const number_t *first,
                           void *memory, size_t memory_bytes) {
-    const size_t needed = learner_bytes(config);
+    const size_t needed = buffer_learner_bytes(config);
     if (needed == 0 || memory_bytes < needed) {
         return LAW_BAD_CONFIG;
     }
@@ -103,12 +103,12 @@ law_result_t learner_init(learner_t *learner, const learner_config_t *config, co
     return LAW_OK;
 }
 
-number_t learner_output(const learner_t *learner, uint16_t k) {
+number_t buffer_learner_output(const buffer_learner_t *learner, uint16_t k) {
     REQUIRE(k < learner->config.samples);
     return law_saturate(&learner->config.law, learner->amplitude[k]);
 }
 
-law_result_t learner_measure(learner_t *learner, uint16_t k, number_t error) {
+law_result_t buffer_learner_measure(buffer_learner_t *learner, uint16_t k, number_t error) {
     REQUIRE(k < learner->config.samples);
     const bool finite = number_is_finite(error);
     learner->error[k] = finite ? error : NUMBER(0);
@@ -116,13 +116,13 @@ law_result_t learner_measure(learner_t *learner, uint16_t k, number_t error) {
     return finite ? LAW_OK : LAW_BAD_INPUT;
 }
 
-static law_trial_t running_trial(const learner_t *learner) {
+static law_trial_t running_trial(const buffer_learner_t *learner) {
     return (law_trial_t){.beats = learner->config.samples,
                          .error_m_s = learner->error,
                          .measured = learner->measured};
 }
 
-static law_result_t add_last(learner_t *learner) {
+static law_result_t add_last(buffer_learner_t *learner) {
     const law_weights_t whole = {NUMBER(1), NUMBER(1), NUMBER(1)};
     const law_trial_t trial = running_trial(learner);
     return law_add(&learner->config.law, &whole, &trial, learner->amplitude, learner->sum);
@@ -130,7 +130,7 @@ static law_result_t add_last(learner_t *learner) {
 
 /* The mean over all trials is that over the earlier ones and a part of the running one. What was
  * not measured counts in it as an error of 0, as (2.10) has it. */
-static law_result_t add_mean(learner_t *learner) {
+static law_result_t add_mean(buffer_learner_t *learner) {
     const law_t *law = &learner->config.law;
     const uint32_t ended = learner->trials + 1u;
     const law_weights_t before = past_mean_before(ended);
@@ -143,14 +143,14 @@ static law_result_t add_mean(learner_t *learner) {
 }
 
 /* Where the trial ended |back| >= 1 trials before the running one is kept. */
-static size_t slot_of(const learner_t *learner, uint32_t back) {
+static size_t slot_of(const buffer_learner_t *learner, uint32_t back) {
     const size_t kept = kept_trials(&learner->config);
     const size_t newest = (learner->trials + kept - 1u) % kept;
     return (newest + kept - (back - 1u) % kept) % kept;
 }
 
-static law_result_t add_window(learner_t *learner) {
-    const learner_config_t *config = &learner->config;
+static law_result_t add_window(buffer_learner_t *learner) {
+    const buffer_learner_config_t *config = &learner->config;
     const bool grows = config->history == LEARNER_HISTORY_NONE;
     const uint32_t ended = learner->trials + 1u;
     const uint32_t present = grows && ended < config->window ? ended : config->window;
@@ -173,8 +173,8 @@ static law_result_t add_window(learner_t *learner) {
     return result;
 }
 
-static void keep_in_window(learner_t *learner) {
-    const learner_config_t *config = &learner->config;
+static void keep_in_window(buffer_learner_t *learner) {
+    const buffer_learner_config_t *config = &learner->config;
     const size_t samples = config->samples;
     if (config->window == 1u) {
         return;
@@ -185,13 +185,13 @@ static void keep_in_window(learner_t *learner) {
     memcpy(learner->past_measured + at, learner->measured, samples);
 }
 
-static void keep_in_mean(learner_t *learner) {
+static void keep_in_mean(buffer_learner_t *learner) {
     const law_trial_t running = running_trial(learner);
     past_mean_add(&learner->config.law, learner->trials + 1u, &running, learner->amplitude,
                   learner->past_amplitude, learner->past_error);
 }
 
-static void keep_trial(learner_t *learner) {
+static void keep_trial(buffer_learner_t *learner) {
     if (learner->config.past == PAST_WINDOW) {
         keep_in_window(learner);
     } else if (learner->config.past == PAST_MEAN) {
@@ -199,7 +199,7 @@ static void keep_trial(learner_t *learner) {
     }
 }
 
-static law_result_t add_all(learner_t *learner) {
+static law_result_t add_all(buffer_learner_t *learner) {
     if (learner->config.past == PAST_WINDOW) {
         return add_window(learner);
     }
@@ -207,13 +207,13 @@ static law_result_t add_all(learner_t *learner) {
 }
 
 /* LAW_NOTHING_MEASURED is no refusal here, but the report stays empty. */
-static law_result_t judge(const learner_t *learner, law_report_t *report) {
+static law_result_t judge(const buffer_learner_t *learner, law_report_t *report) {
     const law_trial_t trial = running_trial(learner);
     const law_result_t result = law_judge(&learner->config.law, &trial, learner->amplitude, report);
     return result == LAW_NOTHING_MEASURED ? LAW_OK : result;
 }
 
-law_result_t learner_end(learner_t *learner, uint16_t valid, law_report_t *report) {
+law_result_t buffer_learner_end(buffer_learner_t *learner, uint16_t valid, law_report_t *report) {
     const size_t samples = learner->config.samples;
     REQUIRE(valid <= samples);
     memset(learner->measured + valid, 0, samples - valid);

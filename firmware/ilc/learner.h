@@ -14,14 +14,14 @@
  * One sign everywhere: e = wanted - measured. Saturation is in all of them: what is remembered is
  * what the plant got.
  *
- *   learner_init(...);
- *   for each trial:  for each sample k:  u = learner_output(k); ...; learner_measure(k, e);
- *                    learner_end(valid);
+ *   buffer_learner_init(...);
+ *   for each trial:  for each sample k:  u = buffer_learner_output(k); ...; buffer_learner_measure(k, e);
+ *                    buffer_learner_end(valid);
  *
- * Numbers of memory per sample (learner_bytes; and a byte or so each for what was measured):
+ * Numbers of memory per sample (buffer_learner_bytes; and a byte or so each for what was measured):
  * LAST 3, MEAN 5, WINDOW of w trials 3 + 2*(w-1).
- * learner_output and learner_measure cost a few operations and may be called from an interrupt that
- * nothing else interrupts; learner_end costs law.h's 30 operations per sample and trial remembered.
+ * buffer_learner_output and buffer_learner_measure cost a few operations and may be called from an interrupt that
+ * nothing else interrupts; buffer_learner_end costs law.h's 30 operations per sample and trial remembered.
  *
  * The board learns with law.h directly: it keeps past trials in its store, not in RAM (past.h).
  * The laws that correct while the plant moves are in feedback.h.
@@ -44,20 +44,20 @@ typedef enum {
     LEARNER_HISTORY_FIRST = 1, /* trials with the first input and zero error */
     LEARNER_HISTORY_NONE = 2   /* nothing: the window grows. Its input weights are divided by their
                                   sum; kp and kd weights by the part of their sum that is there */
-} learner_history_t;
+} buffer_learner_history_t;
 
 typedef struct {
     law_t law;
     uint16_t samples; /* 1..65535: law.beats */
     past_kind_t past;
-    learner_history_t history;                /* of PAST_WINDOW */
+    buffer_learner_history_t history;                /* of PAST_WINDOW */
     uint16_t window;                          /* 1..LEARNER_WINDOW_MAX; of PAST_WINDOW */
     law_weights_t weight[LEARNER_WINDOW_MAX]; /* newest first; of PAST_WINDOW */
-} learner_config_t;
+} buffer_learner_config_t;
 
 /* Everything in here is the module's; it points into the caller's buffer. */
 typedef struct {
-    learner_config_t config;
+    buffer_learner_config_t config;
     number_t *amplitude; /* next to be used */
     number_t *error;     /* of the running trial */
     number_t *sum;       /* working space */
@@ -65,22 +65,22 @@ typedef struct {
     uint8_t *measured; /* of the running trial */
     uint8_t *past_measured;
     uint32_t trials; /* ended so far */
-} learner_t;
+} buffer_learner_t;
 
-/* Size of the buffer for learner_init; 0 when the config does not hold together. */
-size_t learner_bytes(const learner_config_t *config);
+/* Size of the buffer for buffer_learner_init; 0 when the config does not hold together. */
+size_t buffer_learner_bytes(const buffer_learner_config_t *config);
 
-/* |first|: the first input, samples values; NULL = zeros. |memory|: learner_bytes() at least,
+/* |first|: the first input, samples values; NULL = zeros. |memory|: buffer_learner_bytes() at least,
  * aligned for number_t, and the learner's from now on. LAW_BAD_CONFIG, LAW_BAD_INPUT (|first| not
  * finite). */
-law_result_t learner_init(learner_t *learner, const learner_config_t *config, const number_t *first,
+law_result_t buffer_learner_init(buffer_learner_t *learner, const buffer_learner_config_t *config, const number_t *first,
                           void *memory, size_t memory_bytes);
 
 /* What the plant gets at sample k < samples. */
-number_t learner_output(const learner_t *learner, uint16_t k);
+number_t buffer_learner_output(const buffer_learner_t *learner, uint16_t k);
 
 /* The error of sample k < samples. A non-finite one counts as not measured and is LAW_BAD_INPUT. */
-law_result_t learner_measure(learner_t *learner, uint16_t k, number_t error);
+law_result_t buffer_learner_measure(buffer_learner_t *learner, uint16_t k, number_t error);
 
 /* Ends the trial and learns from it. Samples from |valid| on count as not measured, whatever was
  * told about them: a trial cut by an empty battery is valid to its end, one that hit a wall only up
@@ -88,6 +88,6 @@ law_result_t learner_measure(learner_t *learner, uint16_t k, number_t error);
  * the sample that was too large, or it will stop there for ever. valid 0 is a trial that taught
  * nothing and still counts. LAW_BAD_INPUT: errors so large that the result could overflow; nothing
  * is learned then, and the trial does not count. */
-law_result_t learner_end(learner_t *learner, uint16_t valid, law_report_t *report);
+law_result_t buffer_learner_end(buffer_learner_t *learner, uint16_t valid, law_report_t *report);
 
 #endif

@@ -19,7 +19,7 @@
 #include "ilc/law.h"
 
 /* The largest iteration is followed by the one this many before its successor, so that counting
- * goes on modulo this, which names the places of past trials (app/past.c). */
+ * goes on modulo this, which names the places of past trials (learn/past_trials.c). */
 #define MEMORY_ROUND 8u
 
 /* What made the amplitudes; TAILBEAT_INPUT on the wire. */

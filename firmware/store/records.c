@@ -279,7 +279,7 @@ fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memo
     return FAULT_NONE;
 }
 
-size_t record_encode_trial(const trial_t *trial, uint8_t *out) {
+size_t record_encode_trial(const trial_record_t *trial, uint8_t *out) {
     require_beats(trial->beats);
     uint8_t *at = begin_record(out, magic_trial, trial->beats);
     at = bytes_put_u32(at, trial->number);
@@ -293,7 +293,7 @@ size_t record_encode_trial(const trial_t *trial, uint8_t *out) {
     return end_record(out, put_array(at, trial->sigma_m_s, trial->beats));
 }
 
-fault_t record_decode_trial(const uint8_t *bytes, size_t length, trial_t *trial) {
+fault_t record_decode_trial(const uint8_t *bytes, size_t length, trial_record_t *trial) {
     static const shape_t shape = {magic_trial, RECORD_VERSION, TRIAL_FIXED_BYTES, 3u * F32_BYTES,
                                   1,           BEATS_MAX};
     if (!shape_fits(&shape, bytes, length)) {

@@ -54,7 +54,7 @@ typedef struct {
     float amplitude_rad[BEATS_MAX]; /* as swum (saturated) */
     float speed_m_s[BEATS_MAX];     /* NaN = not measured */
     float sigma_m_s[BEATS_MAX];
-} trial_t;
+} trial_record_t;
 
 /* A trial that was learned from, or the mean of all of them up to one, for a law that looks further
  * back than the last. Each names the one before by its CRC, and the learned input that came of it:
@@ -111,7 +111,7 @@ typedef struct {
 /* |reference->crc| is not read; record_crc() of the result is the reference's identity. */
 size_t record_encode_reference(const reference_t *reference, uint8_t *out);
 size_t record_encode_memory(const memory_t *memory, uint8_t *out);
-size_t record_encode_trial(const trial_t *trial, uint8_t *out);
+size_t record_encode_trial(const trial_record_t *trial, uint8_t *out);
 /* |past->crc| is not read, as above. */
 size_t record_encode_past(const past_t *past, uint8_t *out);
 size_t record_encode_params(const params_t *params, uint8_t *out);
@@ -141,7 +141,7 @@ fault_t record_decode_reference(const uint8_t *bytes, size_t length, reference_t
 fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memory);
 
 /* number > 0, executed <= beats, a known source, amplitudes finite and >= 0; speeds as below. */
-fault_t record_decode_trial(const uint8_t *bytes, size_t length, trial_t *trial);
+fault_t record_decode_trial(const uint8_t *bytes, size_t length, trial_record_t *trial);
 
 /* trials > 0, a kind that keeps trials; amplitudes finite and >= 0, errors finite or NaN. */
 fault_t record_decode_past(const uint8_t *bytes, size_t length, past_t *past);

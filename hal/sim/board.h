@@ -43,7 +43,7 @@ struct hal {
     bool led;
     bool irq_locked;
     uint64_t id;
-    uint8_t flash[HAL_FLASH_SIZE_BYTES];
+    uint8_t flash[SIM_FLASH_BYTES];
 };
 
 void board_init(hal_t *hal, const sim_config_t *config);

@@ -185,19 +185,36 @@ hal_serial_errors_t hal_serial_errors(const hal_t *hal, hal_port_t port) {
     return hal->received[port].errors;
 }
 
+/* As the fish's: pages that are erased and written in one operation. */
+const hal_flash_geometry_t *hal_flash_geometry(const hal_t *hal) {
+    static const hal_flash_geometry_t geometry = {
+        .size_bytes = SIM_FLASH_BYTES,
+        .erase_bytes = SIM_FLASH_PAGE_BYTES,
+        .program_bytes = SIM_FLASH_PAGE_BYTES,
+        .program_erases = true,
+    };
+    (void)hal;
+    return &geometry;
+}
+
 bool hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
-    if (offset > HAL_FLASH_SIZE_BYTES || length > HAL_FLASH_SIZE_BYTES - offset) {
+    if (offset > SIM_FLASH_BYTES || length > SIM_FLASH_BYTES - offset) {
         return false;
     }
     memcpy(out, hal->flash + offset, length);
     return true;
 }
 
-bool hal_flash_write_page(hal_t *hal, uint32_t offset, const void *page) {
-    if (offset % HAL_FLASH_PAGE_BYTES != 0 || offset >= HAL_FLASH_SIZE_BYTES) {
+bool hal_flash_erase(hal_t *hal, uint32_t offset) {
+    (void)hal;
+    return offset % SIM_FLASH_PAGE_BYTES == 0 && offset < SIM_FLASH_BYTES;
+}
+
+bool hal_flash_program(hal_t *hal, uint32_t offset, const void *bytes) {
+    if (offset % SIM_FLASH_PAGE_BYTES != 0 || offset >= SIM_FLASH_BYTES) {
         return false;
     }
-    memcpy(hal->flash + offset, page, HAL_FLASH_PAGE_BYTES);
+    memcpy(hal->flash + offset, bytes, SIM_FLASH_PAGE_BYTES);
     return true;
 }
 

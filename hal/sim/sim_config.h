@@ -5,6 +5,9 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#define SIM_FLASH_BYTES (256u * 1024u)
+#define SIM_FLASH_PAGE_BYTES 256u
+
 typedef enum { SIM_PLANT_THESIS = 0, SIM_PLANT_TANK = 1, SIM_PLANT_REACTIVE = 2 } sim_plant_t;
 
 /* All of it in SI units. sim_config_default fills it; every disturbance is off at 0. */

@@ -5,7 +5,6 @@
 #ifndef NATIVE_BINDINGS_H
 #define NATIVE_BINDINGS_H
 
-#include "app/settings.h"
 #include "base/crc.h"
 #include "base/units.h"
 #include "blink/blink.h"
@@ -23,6 +22,7 @@
 #include "learn_past.h"
 #include "line_fit.h"
 #include "params/params.h"
+#include "settings/settings.h"
 #include "shoal.h"
 #include "sim.h"
 #include "speed/estimate.h"
@@ -47,8 +47,8 @@ enum {
     NATIVE_FRAME_US = FRAME_US,
     NATIVE_BLINK_SYMBOL_FRAMES = BLINK_SYMBOL_FRAMES,
     NATIVE_BLINK_BLOCK_FRAMES = BLINK_BLOCK_FRAMES,
-    NATIVE_FLASH_BYTES = HAL_FLASH_SIZE_BYTES,
-    NATIVE_FLASH_PAGE_BYTES = HAL_FLASH_PAGE_BYTES,
+    NATIVE_FLASH_BYTES = SIM_FLASH_BYTES,
+    NATIVE_FLASH_PAGE_BYTES = SIM_FLASH_PAGE_BYTES,
     NATIVE_SERVO_TICKS_PER_US = HAL_SERVO_TICKS_PER_US,
     NATIVE_IMU_FRAME_BYTES = IMU_FRAME_BYTES,
     NATIVE_PARAM_NAME_BYTES = PARAM_NAME_BYTES,

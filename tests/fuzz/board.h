@@ -4,7 +4,8 @@
 #define FUZZ_BOARD_H
 
 #include "app/app.h"
-#include "app/app_internal.h"
+#include "app/commands.h"
+#include "store/critical.h"
 #include "base/crc.h"
 #include "fuzz.h"
 #include "mock_hal.h"
@@ -58,7 +59,7 @@ static inline fault_t board_command(link_command_id_t id, uint32_t trial) {
 
 static inline fault_t board_upload(link_file_t file, const char *path, const uint8_t *bytes,
                                    size_t length) {
-    MUST(store_replace(&app.store, path, bytes, length) == STORE_OK);
+    MUST(store_replace(&app.vault.store, path, bytes, length) == STORE_OK);
     const link_command_t request = {.id = LINK_COMMAND_COMMIT,
                                     .file = file,
                                     .length_bytes = (uint32_t)length,
@@ -83,9 +84,9 @@ static inline void board_set_reference(uint16_t beats) {
 /* Swims the next trial; it is pending afterwards. */
 static inline void board_swim(void) {
     MUST(board_command(LINK_COMMAND_ARM, 0) == FAULT_NONE);
-    MUST(board_command(LINK_COMMAND_START, app.next_trial) == FAULT_NONE);
-    board_run(50u * app.reference.beats + 300u, true);
-    MUST(app.supervisor.state == STATE_IDLE && app.run.pending);
+    MUST(board_command(LINK_COMMAND_START, app.trial.next) == FAULT_NONE);
+    board_run(50u * app.learner.reference.beats + 300u, true);
+    MUST(app.supervisor.state == STATE_IDLE && app.trial.run.pending);
 }
 
 #endif

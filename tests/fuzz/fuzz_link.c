@@ -27,7 +27,7 @@
 typedef struct {
     app_t app;
     uint64_t now_us;
-    uint8_t flash[HAL_FLASH_SIZE_BYTES];
+    uint8_t flash[MOCK_FLASH_BYTES];
 } snapshot_t;
 
 static snapshot_t idle, pending, running;
@@ -134,7 +134,7 @@ static void make_snapshots(void) {
     MUST(app.supervisor.state == STATE_RUNNING);
     keep(&running);
     board_run(50u * BEATS + 300u, true);
-    MUST(app.run.pending);
+    MUST(app.trial.run.pending);
     keep(&pending);
 }
 
@@ -146,11 +146,12 @@ static void finite(const float *values, uint32_t count) {
 
 static void state_sound(void) {
     MUST(app.supervisor.state < STATE_COUNT);
-    MUST(app.memory.beats <= BEATS_MAX && app.reference.beats <= BEATS_MAX);
-    finite(app.memory.amplitude_rad, app.memory.beats);
-    finite(app.run.trial.amplitude_rad, app.reference.beats);
-    for (uint32_t i = 0; i < app.reference.beats; i++) {
-        MUST(app.run.trial.amplitude_rad[i] >= 0.0f && app.run.trial.amplitude_rad[i] <= 1.0472f);
+    MUST(app.learner.memory.beats <= BEATS_MAX && app.learner.reference.beats <= BEATS_MAX);
+    finite(app.learner.memory.amplitude_rad, app.learner.memory.beats);
+    finite(app.trial.run.trial.amplitude_rad, app.learner.reference.beats);
+    for (uint32_t i = 0; i < app.learner.reference.beats; i++) {
+        MUST(app.trial.run.trial.amplitude_rad[i] >= 0.0f &&
+             app.trial.run.trial.amplitude_rad[i] <= 1.0472f);
     }
     for (unsigned i = 0; i < PARAM_COUNT; i++) {
         const param_info_t *info = param_info((param_t)i);
@@ -164,7 +165,7 @@ static void tail_obeys(void) {
     passes_since_running = is_running ? 0 : passes_since_running + 1u;
     MUST(!is_running || start_accepted);
     start_accepted = start_accepted && (is_running || passes_since_running < 3u);
-    const uint32_t coast_passes = app.control.config.coast_frames + 3u;
+    const uint32_t coast_passes = app.trial.control.config.coast_frames + 3u;
     for (size_t i = 0; i < hal.pulse_count; i++) {
         const uint16_t pulse = hal.pulses[i];
         MUST(pulse == 0 || passes_since_running <= coast_passes);
@@ -299,7 +300,9 @@ static void command_trial(input_t *in) {
                                         TAILBEAT_CMD_DISCARD, MAV_CMD_COMPONENT_ARM_DISARM};
     frame_t frame;
     const uint8_t how = take_u8(in), which = take_u8(in) % 4u;
-    const uint32_t trial = which == 0 ? app.next_trial : which == 3 ? 1u : app.run.trial.number;
+    const uint32_t trial = which == 0   ? app.trial.next
+                           : which == 3 ? 1u
+                                        : app.trial.run.trial.number;
     const mavlink_command_long_t fields = {.command = commands[which],
                                            .param1 = (float)trial,
                                            .param2 = (float)hal.now_us * 1e-6f,
@@ -315,8 +318,8 @@ static void commit(input_t *in) {
     uint32_t length = 0, crc = 0;
     static const char *const paths[] = {"/in/reference.bin", "/in/amplitudes.bin", "/in/speeds.bin",
                                         "/in/learned.bin"};
-    (void)store_size(&app.store, paths[file], &length);
-    (void)store_crc32(&app.store, paths[file], &crc);
+    (void)store_size(&app.vault.store, paths[file], &length);
+    (void)store_crc32(&app.vault.store, paths[file], &crc);
     const mavlink_command_int_t fields = {.command = TAILBEAT_CMD_COMMIT,
                                           .param1 = file,
                                           .x = (int32_t)length,
@@ -375,7 +378,7 @@ static void upload(void) {
     reference.beats = BEATS;
     reference.beat_s = 1.0f;
     reference.speed_m_s[0] = 0.01f * (float)(passes_left % 7u);
-    (void)store_replace(&app.store, "/in/reference.bin", bytes,
+    (void)store_replace(&app.vault.store, "/in/reference.bin", bytes,
                         record_encode_reference(&reference, bytes));
 }
 

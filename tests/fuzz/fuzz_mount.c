@@ -21,7 +21,7 @@
 /* Reads of the flash in one boot or one request: an end, no more; blockdev.c has the real limit. */
 #define READS_MAX 8000000u
 
-static uint8_t base[BASES][HAL_FLASH_SIZE_BYTES];
+static uint8_t base[BASES][MOCK_FLASH_BYTES];
 static uint32_t reads, most_reads;
 
 bool __real_hal_flash_read(hal_t *board, uint32_t offset, void *out, uint32_t length);
@@ -56,34 +56,34 @@ static void make_bases(void) {
     MUST(board_command(LINK_COMMAND_LEARN, 1) == FAULT_NONE);
     MUST(board_command(LINK_COMMAND_PARAMS_SAVE, 0) == FAULT_NONE);
     static const uint8_t upload[3000] = {1, 2, 3};
-    MUST(store_replace(&app.store, "/in/speeds.bin", upload, sizeof upload) == STORE_OK);
+    MUST(store_replace(&app.vault.store, "/in/speeds.bin", upload, sizeof upload) == STORE_OK);
     keep(base[2]);
     for (uint32_t i = 0; i < 40; i++) {
         char path[STORE_PATH_BYTES];
         reads = 0;
         trial_log_path(100u + i, path);
-        MUST(store_replace(&app.store, path, upload, 10u * i) == STORE_OK);
+        MUST(store_replace(&app.vault.store, path, upload, 10u * i) == STORE_OK);
     }
     keep(base[3]);
     hal.flash_fail_after = hal.flash_writes + 7u;
-    (void)store_replace(&app.store, "/learned.bin", upload, 1500);
-    (void)store_remove(&app.store, "/trials/0105.ulg");
+    (void)store_replace(&app.vault.store, "/learned.bin", upload, 1500);
+    (void)store_remove(&app.vault.store, "/trials/0105.ulg");
     hal.flash_fail_after = 0;
     keep(base[4]);
 }
 
 static void damage(input_t *in) {
     const uint8_t what = take_u8(in);
-    const uint32_t block = take_u8(in) % STORE_BLOCKS;
-    uint8_t *bytes = hal.flash + block * STORE_BLOCK_BYTES;
+    const uint32_t block = take_u8(in) % BLOCKS;
+    uint8_t *bytes = hal.flash + block * BLOCK_BYTES;
     switch (what % 8u) {
     case 0: { /* bytes of the block */
-        const uint32_t at = take_u16(in) % STORE_BLOCK_BYTES;
+        const uint32_t at = take_u16(in) % BLOCK_BYTES;
         bytes[at] ^= take_u8(in);
         break;
     }
     case 1: { /* the same, and nobody sees it */
-        const uint32_t at = take_u16(in) % STORE_BLOCK_BYTES;
+        const uint32_t at = take_u16(in) % BLOCK_BYTES;
         bytes[at] ^= take_u8(in);
         lfs_image_seal(bytes);
         break;
@@ -101,15 +101,14 @@ static void damage(input_t *in) {
         break;
     }
     case 4: /* another block's content */
-        memcpy(bytes, hal.flash + take_u8(in) % STORE_BLOCKS * STORE_BLOCK_BYTES,
-               STORE_BLOCK_BYTES);
+        memcpy(bytes, hal.flash + take_u8(in) % BLOCKS * BLOCK_BYTES, BLOCK_BYTES);
         break;
     case 5: /* a page */
-        memset(bytes + take_u8(in) % 8u * HAL_FLASH_PAGE_BYTES, take_u8(in), HAL_FLASH_PAGE_BYTES);
+        memset(bytes + take_u8(in) % 8u * STORE_PAGE_BYTES, take_u8(in), STORE_PAGE_BYTES);
         break;
     case 6: /* a pointer of a tag to a block; or a ring */
         if (what >= 128u) {
-            lfs_image_make_ring(hal.flash, block, 2u + take_u8(in) % (STORE_BLOCKS - 3u));
+            lfs_image_make_ring(hal.flash, block, 2u + take_u8(in) % (BLOCKS - 3u));
         } else {
             lfs_image_set_data(bytes, take_u8(in), take_u8(in), take_u8(in));
             lfs_image_seal(bytes);
@@ -163,14 +162,14 @@ static bool visit(void *context, const store_entry_t *entry) {
 static void read_all(const char *folder) {
     walk_t walk = {.seen = 0};
     reads = 0;
-    (void)store_walk(&app.store, folder[0] == 0 ? "/" : folder, 0, visit, &walk);
+    (void)store_walk(&app.vault.store, folder[0] == 0 ? "/" : folder, 0, visit, &walk);
     for (uint32_t i = 0; i < walk.kept; i++) {
         char path[2u * STORE_PATH_BYTES];
         uint32_t size = 0, crc = 0;
         (void)snprintf(path, sizeof path, "%s/%s", folder, walk.name[i]);
         reads = 0;
-        (void)store_size(&app.store, path, &size);
-        (void)store_crc32(&app.store, path, &crc);
+        (void)store_size(&app.vault.store, path, &size);
+        (void)store_crc32(&app.vault.store, path, &crc);
     }
 }
 
@@ -180,9 +179,9 @@ static void ask_for_everything(void) {
         read_all(folders[i]);
     }
     reads = 0;
-    (void)store_free_bytes(&app.store);
+    (void)store_free_bytes(&app.vault.store);
     reads = 0;
-    (void)store_newest_trial(&app.store);
+    (void)store_newest_trial(&app.vault.store);
 }
 
 static void change_everything(void) {
@@ -192,12 +191,12 @@ static void change_everything(void) {
     (void)board_command(LINK_COMMAND_CLEAR, 0);
     (void)board_command(LINK_COMMAND_PARAMS_SAVE, 0);
     reads = 0;
-    (void)store_replace(&app.store, "/in/learned.bin", content, sizeof content);
+    (void)store_replace(&app.vault.store, "/in/learned.bin", content, sizeof content);
     reads = 0;
-    (void)store_make_space_step(&app.store, 20000, 0, &done);
+    (void)store_make_space_step(&app.vault.store, 20000, 0, &done);
     reads = 0;
-    if (app.run.pending) {
-        (void)board_command(LINK_COMMAND_LEARN, app.run.trial.number);
+    if (app.trial.run.pending) {
+        (void)board_command(LINK_COMMAND_LEARN, app.trial.run.trial.number);
     }
     reads = 0;
     (void)board_command(LINK_COMMAND_ARM, 0);

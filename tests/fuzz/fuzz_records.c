@@ -22,7 +22,7 @@
 typedef union {
     reference_t reference;
     memory_t memory;
-    trial_t trial;
+    trial_record_t trial;
     params_t params;
     uint32_t counter;
     speed_upload_t speeds;
@@ -118,7 +118,7 @@ static void speeds_in_bounds(const float *speed, const float *sigma, unsigned co
 
 static void beats_in_bounds(unsigned beats) { MUST(beats >= 1 && beats <= BEATS_MAX); }
 
-static void trial_in_bounds(const trial_t *trial) {
+static void trial_in_bounds(const trial_record_t *trial) {
     beats_in_bounds(trial->beats);
     MUST(trial->number > 0 && trial->executed <= trial->beats);
     MUST(trial->source < SPEED_SOURCE_COUNT);

@@ -138,7 +138,7 @@ def test_a_servo(extended: Path, tmp_path: Path) -> None:
     """On the mock board; and the code of the SAM3X8E compiles with it."""
     (tmp_path / "rudder.c").write_text(RUDDER)
     folders = [f"-I{extended / name}" for name in ("firmware", "hal/include", "hal/mock")]
-    modules = ["app/control.c", "blink/blink.c", "gait/gait.c", "gait/servo.c", "base/real.c"]
+    modules = ["trial/control.c", "blink/blink.c", "gait/gait.c", "gait/servo.c", "base/real.c"]
     modules += ["supervisor/stop_rules.c", "supervisor/battery.c"]
     sources = ["rudder.c", f"{extended}/hal/mock/mock_hal.c"]
     sources += [f"{extended}/firmware/{name}" for name in modules]
@@ -153,7 +153,7 @@ def test_a_servo(extended: Path, tmp_path: Path) -> None:
 
 
 RUDDER = """
-#include "app/control.h"
+#include "trial/control.h"
 #include "mock_hal.h"
 #include <stdio.h>
 

@@ -3,9 +3,11 @@
 #define APP_FIXTURE_H
 
 #include "app/app.h"
-#include "app/app_internal.h"
+#include "app/commands.h"
 #include "base/crc.h"
 #include "mock_hal.h"
+#include "store/critical.h"
+#include "store_size.h"
 #include "unity.h"
 
 #include <math.h>
@@ -65,7 +67,7 @@ static inline void run_ticks_ms(uint32_t duration_ms) {
     for (uint32_t ms = 0; ms < duration_ms; ms += 20u) {
         hal.now_us += 20000u;
         app_tick_isr(&app);
-        app.last_heartbeat_us = hal.now_us;
+        app.trial.host.last_heartbeat_us = hal.now_us;
         if (hal.now_us % 200000u == 0 && hal.now_us > 500000u) {
             see_fish();
         }
@@ -85,7 +87,7 @@ static fault_t command(link_command_id_t id, uint32_t trial) {
 }
 
 static fault_t commit(link_file_t file, const char *path, const uint8_t *bytes, size_t length) {
-    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, path, bytes, length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, path, bytes, length));
     const link_command_t request = {.id = LINK_COMMAND_COMMIT,
                                     .file = file,
                                     .length_bytes = (uint32_t)length,
@@ -116,7 +118,7 @@ static fault_t upload_flat_reference(uint16_t beats, float speed_m_s) {
 static void start_trial(uint16_t beats, float speed_m_s) {
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(beats, speed_m_s));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.next_trial));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.trial.next));
     TEST_ASSERT_EQUAL(STATE_RUNNING, app.supervisor.state);
 }
 
@@ -124,7 +126,7 @@ static inline void swim_whole_trial(uint16_t beats, float speed_m_s) {
     start_trial(beats, speed_m_s);
     run_ms(beats * 1000u + 5000u);
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-    TEST_ASSERT_TRUE(app.run.pending);
+    TEST_ASSERT_TRUE(app.trial.run.pending);
 }
 
 #endif

@@ -9,18 +9,18 @@ static void set(param_t param, float value) {
 }
 
 static void learn(void) {
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.run.trial.number));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.trial.run.trial.number));
 }
 
 /* Trials in the average that ends with the one learned last. */
 static uint16_t trials_in_average(void) {
     static past_t past;
     char path[] = PAST_PATH;
-    path[5] = (char)('0' + (app.memory.iteration - 1u) % PAST_FILES);
-    const size_t length = boot_load_record(&app, path);
-    TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_past(app.record, length, &past));
-    (void)record_encode_memory(&app.memory, app.record);
-    TEST_ASSERT_EQUAL_UINT32(record_crc(app.record), past.learned_crc);
+    path[5] = (char)('0' + (app.learner.memory.iteration - 1u) % VAULT_PAST_PLACES);
+    const size_t length = vault_read(&app.vault, path);
+    TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_past(app.vault.record, length, &past));
+    (void)record_encode_memory(&app.learner.memory, app.vault.record);
+    TEST_ASSERT_EQUAL_UINT32(record_crc(app.vault.record), past.learned_crc);
     return past.trials;
 }
 

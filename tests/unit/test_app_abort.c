@@ -72,12 +72,12 @@ static void assert_no_pulse_from(size_t at) {
 /* The trial is the one that was cut: every beat that is in it was swum to its end and has its
  * speed. The frame that is out may be the last of its beat. */
 static void assert_beats_kept(uint32_t number, bool all_in) {
-    const trial_t *trial = &app.run.trial;
+    const trial_record_t *trial = &app.trial.run.trial;
     TEST_ASSERT_EQUAL_UINT32(number, trial->number);
     TEST_ASSERT_EQUAL(FAULT_ABORT_COMMAND, trial->end);
     TEST_ASSERT_TRUE(trial->executed <= frames / FRAMES_PER_BEAT);
     TEST_ASSERT_TRUE(frames == 0 || trial->executed >= (frames - 1u) / FRAMES_PER_BEAT);
-    TEST_ASSERT_EQUAL(trial->executed > 0, app.run.pending);
+    TEST_ASSERT_EQUAL(trial->executed > 0, app.trial.run.pending);
     for (uint16_t k = 0; k < trial->executed && all_in; k++) {
         TEST_ASSERT_FLOAT_WITHIN(1e-5f, swim_speed_m_s, trial->speed_m_s[k]);
     }
@@ -85,7 +85,7 @@ static void assert_beats_kept(uint32_t number, bool all_in) {
 
 /* Learned from or dropped, and the next number starts. */
 static void start_next(uint32_t number) {
-    if (app.run.pending && command(LINK_COMMAND_LEARN, number) != FAULT_NONE) {
+    if (app.trial.run.pending && command(LINK_COMMAND_LEARN, number) != FAULT_NONE) {
         TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, number));
     }
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
@@ -138,7 +138,7 @@ static int last_deviation(void) {
 
 static void test_an_abort_at_any_time_of_a_swim(void) {
     start_trial(BEATS, SPEED);
-    const uint32_t number = app.run.trial.number;
+    const uint32_t number = app.trial.run.trial.number;
     uint32_t aborts = 0, pass = 0;
     hal.pulse_count = 0;
     while (app.supervisor.state == STATE_RUNNING) {
@@ -165,7 +165,7 @@ static void test_an_abort_at_any_time_of_a_swim(void) {
 /* The swim is over: there is nothing left to cut, and the trial is whole. */
 static void test_an_abort_in_the_coast_and_while_settling_changes_nothing(void) {
     start_trial(BEATS, SPEED);
-    const uint32_t number = app.run.trial.number;
+    const uint32_t number = app.trial.run.trial.number;
     run_ms(BEATS * 1000u + 20u);
     TEST_ASSERT_EQUAL(STATE_SETTLING, app.supervisor.state);
     for (uint32_t pass = 0; app.supervisor.state == STATE_SETTLING; pass++) {
@@ -178,23 +178,23 @@ static void test_an_abort_in_the_coast_and_while_settling_changes_nothing(void) 
             run_and_record(4000);
             assert_no_pulse_from(assert_comes_to_rest(pass == 0 ? CENTRE_TICKS : from));
             TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-            TEST_ASSERT_EQUAL(BEATS, app.run.trial.executed);
-            TEST_ASSERT_EQUAL(FAULT_NONE, app.run.trial.end);
+            TEST_ASSERT_EQUAL(BEATS, app.trial.run.trial.executed);
+            TEST_ASSERT_EQUAL(FAULT_NONE, app.trial.run.trial.end);
             start_next(number);
             go_back();
         }
         run_ms(PASS_MS);
     }
-    TEST_ASSERT_TRUE(app.run.pending);
+    TEST_ASSERT_TRUE(app.trial.run.pending);
 }
 
 static void fill_store(void) {
     char path[STORE_PATH_BYTES];
     memset(upload_bytes, 7, sizeof upload_bytes);
-    for (uint32_t i = 1; store_free_bytes(&app.store) > STORE_RESERVE_BYTES / 2u; i++) {
+    for (uint32_t i = 1; store_free_bytes(&app.vault.store) > RESERVE_BYTES / 2u; i++) {
         (void)snprintf(path, sizeof path, "/trials/%05u.ulg", (unsigned)i);
         TEST_ASSERT_EQUAL(STORE_OK,
-                          store_replace(&app.store, path, upload_bytes, sizeof upload_bytes));
+                          store_replace(&app.vault.store, path, upload_bytes, sizeof upload_bytes));
     }
 }
 
@@ -203,11 +203,11 @@ static void test_an_abort_while_armed_disarms_and_nothing_has_moved(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
     fill_store();
     reboot();
-    const uint32_t next = app.next_trial;
+    const uint32_t next = app.trial.next;
     uint32_t passes_with_room_to_make = 0;
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
     for (uint32_t pass = 0; pass < 60; pass++) {
-        passes_with_room_to_make += app.room_made ? 0u : 1u;
+        passes_with_room_to_make += app.trial.preparation.room_made ? 0u : 1u;
         hal.pulse_count = 0;
         keep();
         TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ABORT, 0));
@@ -215,7 +215,7 @@ static void test_an_abort_while_armed_disarms_and_nothing_has_moved(void) {
         TEST_ASSERT_EQUAL(FAULT_NONE, app.supervisor.reason);
         run_ms(60);
         assert_no_pulse_from(0);
-        TEST_ASSERT_EQUAL_UINT32(next, app.next_trial);
+        TEST_ASSERT_EQUAL_UINT32(next, app.trial.next);
         start_next(next - 1u);
         go_back();
         run_ms(PASS_MS);
@@ -228,7 +228,7 @@ static void test_an_abort_does_not_hide_what_came_before_it(void) {
     start_trial(BEATS, SPEED);
     run_ms(1500);
     host_alive = false;
-    app.last_heartbeat_us = 1u;
+    app.trial.host.last_heartbeat_us = 1u;
     app_poll(&app);
     hal.now_us += 5000000u;
     for (int i = 0; i < 2; i++) {

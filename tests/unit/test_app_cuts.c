@@ -37,12 +37,13 @@ static bool only_learning; /* no other step is cut */
 static enum { LOOK, CUT, CUT_TWICE } mode;
 
 static knowledge_t known_to(const app_t *board) {
-    knowledge_t knowledge = {.reference_crc = board->reference.crc,
-                             .next_trial = board->next_trial,
-                             .pending = board->run.pending ? board->run.trial.number : 0,
-                             .memory = board->memory,
+    knowledge_t knowledge = {.reference_crc = board->learner.reference.crc,
+                             .next_trial = board->trial.next,
+                             .pending =
+                                 board->trial.run.pending ? board->trial.run.trial.number : 0,
+                             .memory = board->learner.memory,
                              .params = board->params};
-    knowledge.uploaded = knowledge.pending != 0 && board->run.trial.speed_m_s[0] > 0.03f;
+    knowledge.uploaded = knowledge.pending != 0 && board->trial.run.trial.speed_m_s[0] > 0.03f;
     return knowledge;
 }
 
@@ -86,8 +87,8 @@ static void expect_old_or_new(void) {
     const bool forgotten = old->pending != 0 && found.pending == 0;
     TEST_ASSERT_TRUE(!forgotten || new->pending == 0);
     TEST_ASSERT_TRUE(!forgotten || !learning_began || found.memory.last_trial == old->pending);
-    TEST_ASSERT_EQUAL_INT32(0, ledger_lost_blocks(&dark.store));
-    TEST_ASSERT_EQUAL_UINT32(0, dark.store.failures);
+    TEST_ASSERT_EQUAL_INT32(0, ledger_lost_blocks(&dark.vault.store));
+    TEST_ASSERT_EQUAL_UINT32(0, dark.vault.store.failures);
 }
 
 static fault_t order(link_command_id_t id, uint32_t trial) {
@@ -105,7 +106,7 @@ static void run_dark_ms(uint32_t duration_ms) {
         if (dark_hal.now_us % 40000u == 0 && dark_hal.now_us > 500000u) {
             dark.link.handlers.vision(&dark, &sample);
         }
-        dark.last_heartbeat_us = dark_hal.now_us;
+        dark.trial.host.last_heartbeat_us = dark_hal.now_us;
         app_poll(&dark);
         dark_hal.tx[0].head = dark_hal.tx[0].tail = dark_hal.tx[1].head = dark_hal.tx[1].tail = 0;
     }
@@ -113,26 +114,26 @@ static void run_dark_ms(uint32_t duration_ms) {
 
 /* Whatever the cut left: the next trial is swum and learned from. */
 static void goes_on(void) {
-    if (dark.run.pending) {
-        TEST_ASSERT_EQUAL(FAULT_NONE, order(LINK_COMMAND_DISCARD, dark.run.trial.number));
+    if (dark.trial.run.pending) {
+        TEST_ASSERT_EQUAL(FAULT_NONE, order(LINK_COMMAND_DISCARD, dark.trial.run.trial.number));
     }
-    if (dark.reference.beats == 0) {
+    if (dark.learner.reference.beats == 0) {
         return;
     }
-    const uint32_t trial = dark.next_trial;
+    const uint32_t trial = dark.trial.next;
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&dark, PARAM_SPD_SOURCE, 0.0f));
     TEST_ASSERT_EQUAL(FAULT_NONE, order(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_EQUAL(FAULT_NONE, order(LINK_COMMAND_START, trial));
-    run_dark_ms(dark.reference.beats * 1000u + 5000u);
-    TEST_ASSERT_EQUAL_UINT32(trial, dark.run.trial.number);
+    run_dark_ms(dark.learner.reference.beats * 1000u + 5000u);
+    TEST_ASSERT_EQUAL_UINT32(trial, dark.trial.run.trial.number);
     TEST_ASSERT_EQUAL(FAULT_NONE, order(LINK_COMMAND_LEARN, trial));
     boot_dark();
-    TEST_ASSERT_EQUAL_UINT32(trial, dark.memory.last_trial);
-    TEST_ASSERT_EQUAL_UINT32(trial + 1u, dark.next_trial);
+    TEST_ASSERT_EQUAL_UINT32(trial, dark.learner.memory.last_trial);
+    TEST_ASSERT_EQUAL_UINT32(trial + 1u, dark.trial.next);
 }
 
 static void darken(cut_kind_t kind, uint32_t offset, const uint8_t *page) {
-    memcpy(dark_hal.flash, hal.flash, sizeof hal.flash);
+    mock_flash_copy(&dark_hal, &hal, false);
     flash_model_attach(&dark_model, &dark_hal, writes * CUT_KINDS + kind);
     flash_model_cut(&dark_model, &dark_hal, kind, offset, page);
 }
@@ -140,12 +141,12 @@ static void darken(cut_kind_t kind, uint32_t offset, const uint8_t *page) {
 /* The old learned input has its whole past, whatever lies beside it. */
 static void learns_the_same(void) {
     const knowledge_t *old = &after[step], *new = &after[step + 1u];
-    if (!dark.run.pending || !same_memory(&dark.memory, &old->memory)) {
+    if (!dark.trial.run.pending || !same_memory(&dark.learner.memory, &old->memory)) {
         return;
     }
-    TEST_ASSERT_EQUAL(FAULT_NONE, order(LINK_COMMAND_LEARN, dark.run.trial.number));
+    TEST_ASSERT_EQUAL(FAULT_NONE, order(LINK_COMMAND_LEARN, dark.trial.run.trial.number));
     boot_dark();
-    TEST_ASSERT_TRUE(same_memory(&dark.memory, &new->memory));
+    TEST_ASSERT_TRUE(same_memory(&dark.learner.memory, &new->memory));
 }
 
 static void cut_in_every_way(uint32_t offset, const uint8_t *page) {
@@ -175,9 +176,10 @@ static void cut_twice(uint32_t offset, const uint8_t *page) {
     }
     boot_dark();
     TEST_ASSERT_EQUAL(STATE_IDLE, dark.supervisor.state);
-    TEST_ASSERT_GREATER_OR_EQUAL_UINT32(next, dark.next_trial);
-    TEST_ASSERT_TRUE(!dark.run.pending || dark.run.trial.number > dark.memory.last_trial);
-    TEST_ASSERT_EQUAL_INT32(0, ledger_lost_blocks(&dark.store));
+    TEST_ASSERT_GREATER_OR_EQUAL_UINT32(next, dark.trial.next);
+    TEST_ASSERT_TRUE(!dark.trial.run.pending ||
+                     dark.trial.run.trial.number > dark.learner.memory.last_trial);
+    TEST_ASSERT_EQUAL_INT32(0, ledger_lost_blocks(&dark.vault.store));
     goes_on();
     pairs_done++;
 }
@@ -200,7 +202,7 @@ static void done(void) {
     TEST_ASSERT_LESS_THAN_UINT32(STEPS_MAX, step);
     learning_began = false;
     if (mode == LOOK) {
-        memcpy(dark_hal.flash, hal.flash, sizeof hal.flash);
+        mock_flash_copy(&dark_hal, &hal, false);
         flash_model_attach(&dark_model, &dark_hal, 1);
         boot_dark();
         after[step] = known_to(&dark);
@@ -240,7 +242,7 @@ static void upload_speeds(uint32_t trial) {
 
 static void upload_amplitudes(void) {
     static amplitudes_upload_t upload;
-    upload.reference_crc = app.reference.crc;
+    upload.reference_crc = app.learner.reference.crc;
     upload.beats = BEATS;
     for (uint32_t k = 0; k < BEATS; k++) {
         upload.amplitude_rad[k] = 0.1f * (float)k;

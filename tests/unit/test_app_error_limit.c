@@ -33,20 +33,20 @@ static void clear(void) { TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLE
 
 /* What swims next stands on the board already, or is stored with the reference. */
 static void start_next(void) {
-    if (app.reference.beats == 0) {
+    if (app.learner.reference.beats == 0) {
         TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
     }
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.next_trial));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.trial.next));
 }
 
 /* The sample of this moment is half a second old. */
 static float speed_by_amplitude(void) {
-    const int64_t since_us = (int64_t)(hal.now_us - app.run.start_us) - 500000;
-    if (app.run.start_us == 0 || since_us < 0 || since_us >= (int64_t)BEATS * 1000000) {
+    const int64_t since_us = (int64_t)(hal.now_us - app.trial.run.start_us) - 500000;
+    if (app.trial.run.start_us == 0 || since_us < 0 || since_us >= (int64_t)BEATS * 1000000) {
         return 0.0f;
     }
-    return SLOPE_M_S_RAD * app.run.trial.amplitude_rad[since_us / 1000000];
+    return SLOPE_M_S_RAD * app.trial.run.trial.amplitude_rad[since_us / 1000000];
 }
 
 /* Swims until the trial is stored, and is clear again. */
@@ -59,11 +59,11 @@ static void swim(void) {
     if (app.supervisor.state == STATE_ABORTED) {
         clear();
     }
-    TEST_ASSERT_TRUE(app.run.pending);
+    TEST_ASSERT_TRUE(app.trial.run.pending);
 }
 
 static void learn(void) {
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.run.trial.number));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.trial.run.trial.number));
 }
 
 /* Late by SPD_LATE_S and SPD_GAP_S, 2 s by default: two beats more are swum, and all of them count.
@@ -77,11 +77,11 @@ static void test_the_tail_stops_once_the_beat_is_known(void) {
     run_at(SPEED + 0.03f, 300);
     TEST_ASSERT_EQUAL(STATE_ABORTED, app.supervisor.state);
     TEST_ASSERT_EQUAL(FAULT_ERROR_LIMIT, app.supervisor.reason);
-    TEST_ASSERT_EQUAL(7, app.executed);
+    TEST_ASSERT_EQUAL(7, app.trial.executed);
     run_at(SPEED + 0.03f, 5000);
     TEST_ASSERT_EQUAL_UINT16(0, hal.pulses[hal.pulse_count - 1u]);
-    const trial_t *trial = &app.run.trial;
-    TEST_ASSERT_TRUE(app.run.pending);
+    const trial_record_t *trial = &app.trial.run.trial;
+    TEST_ASSERT_TRUE(app.trial.run.pending);
     TEST_ASSERT_EQUAL(FAULT_ERROR_LIMIT, trial->end);
     TEST_ASSERT_EQUAL(7, trial->executed);
     for (uint16_t k = 0; k < 7; k++) {
@@ -107,7 +107,7 @@ static void test_within_the_limit_or_without_one_it_swims_on(void) {
         set(PARAM_ERR_MAX_M_S, limits[i]);
         swim_speed_m_s = SPEED + 0.03f;
         swim_whole_trial(BEATS, SPEED);
-        TEST_ASSERT_EQUAL(FAULT_NONE, app.run.trial.end);
+        TEST_ASSERT_EQUAL(FAULT_NONE, app.trial.run.trial.end);
     }
 }
 
@@ -122,15 +122,15 @@ static void test_nothing_is_stopped_after_the_last_beat(void) {
     TEST_ASSERT_EQUAL(STATE_SETTLING, app.supervisor.state);
     run_at(SPEED + 0.03f, 5000);
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-    TEST_ASSERT_EQUAL(FAULT_NONE, app.run.trial.end);
-    TEST_ASSERT_FLOAT_WITHIN(1e-5f, SPEED + 0.03f, app.run.trial.speed_m_s[BEATS - 1u]);
+    TEST_ASSERT_EQUAL(FAULT_NONE, app.trial.run.trial.end);
+    TEST_ASSERT_FLOAT_WITHIN(1e-5f, SPEED + 0.03f, app.trial.run.trial.speed_m_s[BEATS - 1u]);
 }
 
 static void test_a_beat_without_a_speed_is_not_too_far_off(void) {
     set(PARAM_ERR_MAX_M_S, LIMIT);
     camera_on = false;
     swim_whole_trial(BEATS, SPEED);
-    TEST_ASSERT_EQUAL(FAULT_NONE, app.run.trial.end);
+    TEST_ASSERT_EQUAL(FAULT_NONE, app.trial.run.trial.end);
 }
 
 /* Speeds that come after the swim come too late to stop it. */
@@ -139,7 +139,7 @@ static void test_uploaded_speeds_stop_nothing(void) {
     set(PARAM_SPD_SOURCE, 1.0f);
     swim_speed_m_s = 0.0f;
     swim_whole_trial(BEATS, SPEED);
-    TEST_ASSERT_EQUAL(FAULT_NONE, app.run.trial.end);
+    TEST_ASSERT_EQUAL(FAULT_NONE, app.trial.run.trial.end);
 }
 
 /* What ended the swim first stays the reason. */
@@ -151,8 +151,8 @@ static void test_an_abort_before_it_keeps_its_reason(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ABORT, 0));
     run_ms(5000);
     TEST_ASSERT_EQUAL(FAULT_ABORT_COMMAND, app.supervisor.reason);
-    TEST_ASSERT_EQUAL(FAULT_ABORT_COMMAND, app.run.trial.end);
-    TEST_ASSERT_FLOAT_WITHIN(1e-5f, 0.0f, app.run.trial.speed_m_s[1]);
+    TEST_ASSERT_EQUAL(FAULT_ABORT_COMMAND, app.trial.run.trial.end);
+    TEST_ASSERT_FLOAT_WITHIN(1e-5f, 0.0f, app.trial.run.trial.speed_m_s[1]);
 }
 
 static void test_the_trial_survives_a_restart_and_teaches(void) {
@@ -160,27 +160,27 @@ static void test_the_trial_survives_a_restart_and_teaches(void) {
     set(PARAM_ILC_LEAD, 0.0f);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
     swim();
-    const trial_t trial = app.run.trial;
-    const memory_t before = app.memory;
+    const trial_record_t trial = app.trial.run.trial;
+    const memory_t before = app.learner.memory;
     TEST_ASSERT_EQUAL(FAULT_ERROR_LIMIT, trial.end);
     TEST_ASSERT_EQUAL(3, trial.executed);
     reboot();
-    TEST_ASSERT_TRUE(app.run.pending);
-    TEST_ASSERT_EQUAL(FAULT_ERROR_LIMIT, app.run.trial.end);
-    TEST_ASSERT_EQUAL(trial.executed, app.run.trial.executed);
-    TEST_ASSERT_EQUAL_MEMORY(trial.speed_m_s, app.run.trial.speed_m_s, BEATS * sizeof(float));
+    TEST_ASSERT_TRUE(app.trial.run.pending);
+    TEST_ASSERT_EQUAL(FAULT_ERROR_LIMIT, app.trial.run.trial.end);
+    TEST_ASSERT_EQUAL(trial.executed, app.trial.run.trial.executed);
+    TEST_ASSERT_EQUAL_MEMORY(trial.speed_m_s, app.trial.run.trial.speed_m_s, BEATS * sizeof(float));
     learn();
     for (uint16_t k = 0; k < BEATS; k++) {
-        TEST_ASSERT_EQUAL(k < trial.executed, app.memory.visits[k]);
-        TEST_ASSERT_EQUAL(k<trial.executed, app.memory.amplitude_rad[k]> before.amplitude_rad[k]);
+        TEST_ASSERT_EQUAL(k < trial.executed, app.learner.memory.visits[k]);
+        TEST_ASSERT_EQUAL(k<trial.executed, app.learner.memory.amplitude_rad[k]> before.amplitude_rad[k]);
     }
 }
 
 /* The first beat that was too far off. */
-static uint16_t guilty(const trial_t *trial) {
+static uint16_t guilty(const trial_record_t *trial) {
     uint16_t k = 0;
     while (k < trial->executed &&
-           !(fabsf(app.reference.speed_m_s[k] - trial->speed_m_s[k]) > LIMIT)) {
+           !(fabsf(app.learner.reference.speed_m_s[k] - trial->speed_m_s[k]) > LIMIT)) {
         k++;
     }
     return k;
@@ -189,12 +189,12 @@ static uint16_t guilty(const trial_t *trial) {
 /* Speeds of the pending trial anew, without those from |beat| on. */
 static void mask_from(uint16_t beat) {
     static speed_upload_t speeds;
-    speeds.trial = app.run.trial.number;
+    speeds.trial = app.trial.run.trial.number;
     speeds.beats = BEATS;
     for (uint16_t k = 0; k < BEATS; k++) {
-        const bool kept = k < beat && k < app.run.trial.executed;
-        speeds.speed_m_s[k] = kept ? app.run.trial.speed_m_s[k] : NAN;
-        speeds.sigma_m_s[k] = kept ? app.run.trial.sigma_m_s[k] : NAN;
+        const bool kept = k < beat && k < app.trial.run.trial.executed;
+        speeds.speed_m_s[k] = kept ? app.trial.run.trial.speed_m_s[k] : NAN;
+        speeds.sigma_m_s[k] = kept ? app.trial.run.trial.sigma_m_s[k] : NAN;
     }
     const size_t length = record_encode_speeds(&speeds, upload_bytes);
     TEST_ASSERT_EQUAL(FAULT_NONE, commit(LINK_FILE_SPEEDS, "/in/speeds.bin", upload_bytes, length));
@@ -220,11 +220,11 @@ static uint32_t trials_to_get_through(bool masked, uint16_t *last_guilty) {
     while (trial < TRIALS_MAX && !whole) {
         trial++;
         swim();
-        whole = app.run.trial.end == FAULT_NONE;
+        whole = app.trial.run.trial.end == FAULT_NONE;
         if (!whole) {
-            *last_guilty = guilty(&app.run.trial);
-            TEST_ASSERT_TRUE(*last_guilty < app.run.trial.executed);
-            TEST_ASSERT_EQUAL(FAULT_ERROR_LIMIT, app.run.trial.end);
+            *last_guilty = guilty(&app.trial.run.trial);
+            TEST_ASSERT_TRUE(*last_guilty < app.trial.run.trial.executed);
+            TEST_ASSERT_EQUAL(FAULT_ERROR_LIMIT, app.trial.run.trial.end);
         }
         if (masked && !whole) {
             mask_from(*last_guilty);
@@ -249,7 +249,7 @@ static void test_with_the_guilty_beat_the_series_gets_through(void) {
     const uint32_t trials = trials_to_get_through(false, &last);
     printf("through after %u trials\n", (unsigned)trials);
     TEST_ASSERT_TRUE(trials > 2u && trials < 12u);
-    TEST_ASSERT_EQUAL(BEATS, app.run.trial.executed);
+    TEST_ASSERT_EQUAL(BEATS, app.trial.run.trial.executed);
 }
 
 static void test_without_it_the_series_ends_there_for_ever(void) {
@@ -257,7 +257,7 @@ static void test_without_it_the_series_ends_there_for_ever(void) {
     prepare_series();
     TEST_ASSERT_EQUAL(TRIALS_MAX, trials_to_get_through(true, &last));
     TEST_ASSERT_EQUAL(4, last);
-    TEST_ASSERT_EQUAL(FAULT_ERROR_LIMIT, app.run.trial.end);
+    TEST_ASSERT_EQUAL(FAULT_ERROR_LIMIT, app.trial.run.trial.end);
 }
 
 /* What each end of a swim leaves of its beats. */

@@ -25,7 +25,7 @@ void tearDown(void) {}
 
 static fault_t ask(host_t host, link_command_id_t id) {
     const link_command_t request = {.id = id,
-                                    .trial = app.next_trial,
+                                    .trial = app.trial.next,
                                     .issued_s = (float)hal.now_us * 1e-6f,
                                     .port = host.port,
                                     .system = host.system};
@@ -134,7 +134,7 @@ static void test_a_battery_that_went_low_while_armed_does_not_start(void) {
     TEST_ASSERT_EQUAL(FAULT_BATTERY_LOW, ask(LAPTOP, LINK_COMMAND_START));
     hal.battery_mv = 6799;
     TEST_ASSERT_EQUAL(FAULT_BATTERY_LOW, ask(LAPTOP, LINK_COMMAND_START));
-    TEST_ASSERT_EQUAL(1, app.next_trial);
+    TEST_ASSERT_EQUAL(1, app.trial.next);
     hal.battery_mv = 6800;
     TEST_ASSERT_EQUAL(FAULT_NONE, ask(LAPTOP, LINK_COMMAND_START));
 }
@@ -158,7 +158,7 @@ static void test_an_exhausted_battery_has_to_be_charged(void) {
     run_ms(1100);
     TEST_ASSERT_EQUAL(FAULT_BATTERY_CRITICAL, app.supervisor.reason);
     TEST_ASSERT_EQUAL(FAULT_NONE, ask(LAPTOP, LINK_COMMAND_CLEAR));
-    (void)command(LINK_COMMAND_DISCARD, app.run.trial.number);
+    (void)command(LINK_COMMAND_DISCARD, app.trial.run.trial.number);
     hal.battery_mv = 6799; /* what it recovers to with the tail off */
     TEST_ASSERT_EQUAL(FAULT_BATTERY_LOW, ask(LAPTOP, LINK_COMMAND_ARM));
     hal.battery_mv = 6800;

@@ -13,7 +13,7 @@
 #define TODAY (11u * YEAR)
 #define FRAMES_MAX 64u
 #define CUTS_MAX 200u
-#define PAGE HAL_FLASH_PAGE_BYTES
+#define PAGE STORE_PAGE_BYTES
 
 static const uint8_t key_a[SIGNING_KEY_BYTES] = {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14};
 static const uint8_t key_b[SIGNING_KEY_BYTES] = {31, 32, 33, 34, 35, 36, 37, 38, 39, 40, 41};
@@ -58,9 +58,9 @@ static key_record_t stored(void) {
     static uint8_t bytes[RECORD_KEY_MAX_BYTES];
     key_record_t record = {0};
     uint32_t length = 0;
-    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, KEY_PATH, &length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.vault.store, KEY_PATH, &length));
     TEST_ASSERT_LESS_OR_EQUAL(sizeof bytes, length);
-    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.store, KEY_PATH, bytes, length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.vault.store, KEY_PATH, bytes, length));
     TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_key(bytes, length, &record));
     return record;
 }
@@ -114,8 +114,8 @@ static void test_a_key_is_stored_before_it_counts(void) {
     TEST_ASSERT_EQUAL_UINT64(TODAY + SIGNING_RESERVE_TICKS, record.mark);
     TEST_ASSERT_EQUAL_UINT64(record.mark, app.link.signing.mark);
     TEST_ASSERT_EQUAL_UINT64(TODAY, clock_now());
-    for (size_t i = 0; i + 4 <= sizeof app.record; i++) {
-        TEST_ASSERT_NOT_EQUAL(0, memcmp(app.record + i, key_a, 4));
+    for (size_t i = 0; i + 4 <= sizeof app.vault.record; i++) {
+        TEST_ASSERT_NOT_EQUAL(0, memcmp(app.vault.record + i, key_a, 4));
     }
 }
 
@@ -171,7 +171,7 @@ static void test_a_time_that_makes_no_sense(void) {
 /* Older versions of the file, which a boot would go back to. */
 static void spoil_copies(void) {
     key_record_t record;
-    for (uint32_t at = 0; at < HAL_FLASH_SIZE_BYTES; at += STORE_BLOCK_BYTES) {
+    for (uint32_t at = 0; at < MOCK_FLASH_BYTES; at += BLOCK_BYTES) {
         if (record_decode_key(hal.flash + at, RECORD_KEY_MAX_BYTES, &record) == FAULT_NONE) {
             hal.flash[at + 21u] ^= 0x5A;
         }
@@ -188,18 +188,19 @@ static void expect_locked(void) {
 }
 
 static void test_a_key_that_cannot_be_read(void) {
-    static uint8_t bytes[sizeof app.record + 1u];
+    static uint8_t bytes[sizeof app.vault.record + 1u];
     (void)set_key(key_a, TODAY);
-    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.store, KEY_PATH, bytes, RECORD_KEY_MAX_BYTES));
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_load(&app.vault.store, KEY_PATH, bytes, RECORD_KEY_MAX_BYTES));
     static const size_t lengths[] = {0, 20, RECORD_KEY_MAX_BYTES - 1u, sizeof bytes};
     for (size_t i = 0; i < 4; i++) {
-        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, KEY_PATH, bytes, lengths[i]));
+        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, KEY_PATH, bytes, lengths[i]));
         expect_locked();
     }
     for (size_t bit = 0; bit < 8u * RECORD_KEY_MAX_BYTES; bit += 7) {
         bytes[bit / 8u] ^= (uint8_t)(1u << bit % 8u);
         TEST_ASSERT_EQUAL(STORE_OK,
-                          store_replace(&app.store, KEY_PATH, bytes, RECORD_KEY_MAX_BYTES));
+                          store_replace(&app.vault.store, KEY_PATH, bytes, RECORD_KEY_MAX_BYTES));
         expect_locked();
         bytes[bit / 8u] ^= (uint8_t)(1u << bit % 8u);
     }
@@ -220,7 +221,7 @@ static void test_only_with_the_tail_off(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(5, 0.03f));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, set_key(key_b, TODAY));
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.next_trial));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.trial.next));
     run_ms(3000);
     TEST_ASSERT_EQUAL(STATE_RUNNING, app.supervisor.state);
     TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, set_key(NULL, TODAY));
@@ -229,7 +230,7 @@ static void test_only_with_the_tail_off(void) {
     TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, set_key(key_b, TODAY));
     TEST_ASSERT_EQUAL_MEMORY(key_a, app.link.signing.out.secret_key, sizeof key_a);
     run_ms(5000);
-    TEST_ASSERT_FALSE(app.run.open);
+    TEST_ASSERT_FALSE(app.trial.run.open);
     TEST_ASSERT_EQUAL(FAULT_NONE, set_key(key_b, TODAY));
 }
 
@@ -287,7 +288,7 @@ static void test_a_mark_that_cannot_be_stored(void) {
     boot();
     const uint64_t mark = app.link.signing.mark;
     hal.flash_fail_after = hal.flash_writes;
-    uint32_t tries = app.store.failures;
+    uint32_t tries = app.vault.store.failures;
     for (uint32_t i = 0; i < 20; i++) {
         mavlink_message_t message;
         const mavlink_heartbeat_t fields = {.type = MAV_TYPE_GCS};
@@ -299,7 +300,7 @@ static void test_a_mark_that_cannot_be_stored(void) {
     }
     TEST_ASSERT_EQUAL_UINT64(mark, app.link.signing.mark);
     TEST_ASSERT_EQUAL_UINT32(20, app.link.signing.counters.stale);
-    tries = app.store.failures - tries;
+    tries = app.vault.store.failures - tries;
     TEST_ASSERT_GREATER_OR_EQUAL_UINT32(2, tries);
     TEST_ASSERT_LESS_OR_EQUAL_UINT32(4, tries);
     TEST_ASSERT_EQUAL(FAULT_STORAGE, app.supervisor.reason);
@@ -323,8 +324,8 @@ static void test_without_its_store_nothing_swims(void) {
     TEST_ASSERT_EQUAL(FAULT_NO_REFERENCE, command(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_EQUAL(FAULT_STORAGE, set_key(key_b, TODAY));
     const size_t length = encode_flat_reference(5, 0.04f);
-    TEST_ASSERT_NOT_EQUAL(STORE_OK,
-                          store_replace(&app.store, "/in/reference.bin", upload_bytes, length));
+    TEST_ASSERT_NOT_EQUAL(
+        STORE_OK, store_replace(&app.vault.store, "/in/reference.bin", upload_bytes, length));
     TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
 }
 
@@ -352,8 +353,8 @@ static void test_files_and_crashes_do_not_tell_the_key(void) {
     static uint8_t bytes[1024];
     crash_report_t report;
     uint32_t length = 0;
-    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, CRASH_PATH, &length));
-    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.store, CRASH_PATH, bytes, length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.vault.store, CRASH_PATH, &length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.vault.store, CRASH_PATH, bytes, length));
     TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_crash(bytes, length, &report));
     TEST_ASSERT_EQUAL_HEX32(0x7700, report.crash.stack[0]);
     TEST_ASSERT_EACH_EQUAL_HEX32(0, report.crash.stack + 1, HAL_CRASH_STACK_WORDS - 1u);
@@ -382,8 +383,8 @@ static void live(void) {
     say_clear(clock_now() + 5u);
 }
 
-static uint8_t start[HAL_FLASH_SIZE_BYTES], after_cut[HAL_FLASH_SIZE_BYTES];
-static uint8_t one_page_more[HAL_FLASH_SIZE_BYTES];
+static uint8_t start[MOCK_FLASH_BYTES], after_cut[MOCK_FLASH_BYTES];
+static uint8_t one_page_more[MOCK_FLASH_BYTES];
 
 /* True when it came to its end before the cut. */
 static bool live_until(uint32_t pages) {
@@ -400,7 +401,7 @@ static bool live_until(uint32_t pages) {
 
 /* The page that was being written holds half of the new over the old. */
 static void tear_page(void) {
-    for (uint32_t at = 0; at < HAL_FLASH_SIZE_BYTES; at += PAGE) {
+    for (uint32_t at = 0; at < MOCK_FLASH_BYTES; at += PAGE) {
         if (memcmp(after_cut + at, one_page_more + at, PAGE) != 0) {
             memcpy(hal.flash + at, one_page_more + at, PAGE / 2u);
             return;
@@ -461,7 +462,7 @@ static void test_pieces_of_the_key_are_hidden_wherever_they_lie(void) {
         uint8_t bytes[17];
         memset(bytes, 0xEE, sizeof bytes);
         memcpy(bytes + at, key_a + 9, 4);
-        key_hide(&app, bytes, 16);
+        keyring_hide(&app.keyring, bytes, 16);
         for (size_t i = 0; i < sizeof bytes; i++) {
             TEST_ASSERT_EQUAL_HEX8(i >= at && i < at + 4 ? 0 : 0xEE, bytes[i]);
         }
@@ -470,7 +471,7 @@ static void test_pieces_of_the_key_are_hidden_wherever_they_lie(void) {
     uint8_t bytes[17];
     memset(bytes, 0xEE, sizeof bytes);
     memcpy(bytes + 13, key_a + 9, 4);
-    key_hide(&app, bytes, 16);
+    keyring_hide(&app.keyring, bytes, 16);
     TEST_ASSERT_EQUAL_MEMORY(key_a + 9, bytes + 13, 4);
 }
 

@@ -1,8 +1,8 @@
 /* Laws that average: the board against the learner that keeps its trials in RAM, bit for bit; what
  * ends an average; and laws that are refused. */
-#include "app/settings.h"
 #include "ilc/learner.h"
 #include "past_fixture.h"
+#include "settings/settings.h"
 
 #include <stdio.h>
 
@@ -11,8 +11,8 @@
 #define SPEED 0.05f
 #define CUT_EVERY 3u /* trials, one of which is aborted */
 
-static learner_t learner;
-static float learner_memory[BEATS * 3u * (LEARNER_WINDOW_MAX + 1u)];
+static buffer_learner_t learner;
+static float buffer_learner_memory[BEATS * 3u * (LEARNER_WINDOW_MAX + 1u)];
 static uint32_t random_state;
 
 static float random_0_1(void) {
@@ -28,7 +28,7 @@ void setUp(void) {
 }
 void tearDown(void) {
     if (Unity.CurrentTestFailed) {
-        printf("trial %u, random state %u\n", (unsigned)app.run.trial.number,
+        printf("trial %u, random state %u\n", (unsigned)app.trial.run.trial.number,
                (unsigned)random_state);
     }
 }
@@ -47,7 +47,7 @@ static void save_params(void) {
 static void swim(uint16_t beats, const float *speed_m_s) {
     static speed_upload_t speeds;
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.next_trial));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.trial.next));
     run_ms(beats * 1000u + 300u);
     if (beats < BEATS) {
         TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ABORT, 0));
@@ -55,9 +55,9 @@ static void swim(uint16_t beats, const float *speed_m_s) {
     } else {
         run_ms(5000);
     }
-    TEST_ASSERT_TRUE(app.run.pending);
-    TEST_ASSERT_EQUAL(beats, app.run.trial.executed);
-    speeds.trial = app.run.trial.number;
+    TEST_ASSERT_TRUE(app.trial.run.pending);
+    TEST_ASSERT_EQUAL(beats, app.trial.run.trial.executed);
+    speeds.trial = app.trial.run.trial.number;
     speeds.beats = BEATS;
     for (uint32_t k = 0; k < BEATS; k++) {
         speeds.speed_m_s[k] = speed_m_s[k];
@@ -85,7 +85,7 @@ static void swim_and_learn(uint32_t number) {
 }
 
 static void begin_learner(past_kind_t past, uint16_t window) {
-    learner_config_t config = {
+    buffer_learner_config_t config = {
         .law = settings_law(&app.params, 1.0f),
         .samples = BEATS,
         .past = past,
@@ -100,8 +100,8 @@ static void begin_learner(past_kind_t past, uint16_t window) {
     for (uint32_t k = 0; k < BEATS; k++) {
         first[k] = config.law.kp_rad_s_m * SPEED;
     }
-    TEST_ASSERT_EQUAL(
-        LAW_OK, learner_init(&learner, &config, first, learner_memory, sizeof learner_memory));
+    TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_init(&learner, &config, first, buffer_learner_memory,
+                                                  sizeof buffer_learner_memory));
 }
 
 static void expect_same_as_learner(void) {
@@ -109,7 +109,7 @@ static void expect_same_as_learner(void) {
     for (uint16_t k = 0; k < BEATS; k++) {
         amplitude[k] = learner.amplitude[k];
     }
-    TEST_ASSERT_EQUAL_MEMORY(amplitude, app.memory.amplitude_rad, sizeof amplitude);
+    TEST_ASSERT_EQUAL_MEMORY(amplitude, app.learner.memory.amplitude_rad, sizeof amplitude);
 }
 
 /* The board restarts in the middle of it. */
@@ -127,10 +127,10 @@ static void check_against_learner(past_kind_t past, uint16_t window) {
         }
         learn();
         for (uint16_t k = 0; k < BEATS; k++) {
-            (void)learner_measure(&learner, k, SPEED - speed_m_s[k]);
+            (void)buffer_learner_measure(&learner, k, SPEED - speed_m_s[k]);
         }
         law_report_t report;
-        TEST_ASSERT_EQUAL(LAW_OK, learner_end(&learner, beats, &report));
+        TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_end(&learner, beats, &report));
         expect_same_as_learner();
         if (number % 5u == 0) {
             reboot();
@@ -167,11 +167,11 @@ static void test_the_longest_window_gives_the_bits_of_the_learner(void) {
 
 static uint32_t past_files(void) {
     uint32_t count = 0;
-    for (char number = '0'; number < '0' + (char)PAST_FILES; number++) {
+    for (char number = '0'; number < '0' + (char)VAULT_PAST_PLACES; number++) {
         char path[] = PAST_PATH;
         path[5] = number;
         uint32_t size_bytes = 0;
-        count += store_size(&app.store, path, &size_bytes) == STORE_OK;
+        count += store_size(&app.vault.store, path, &size_bytes) == STORE_OK;
     }
     return count;
 }
@@ -185,9 +185,9 @@ static void test_the_last_trial_alone_keeps_no_past(void) {
 
 static void upload_amplitudes(void) {
     static amplitudes_upload_t upload;
-    upload.reference_crc = app.reference.crc;
+    upload.reference_crc = app.learner.reference.crc;
     upload.beats = BEATS;
-    memcpy(upload.amplitude_rad, app.memory.amplitude_rad, BEATS * sizeof(float));
+    memcpy(upload.amplitude_rad, app.learner.memory.amplitude_rad, BEATS * sizeof(float));
     const size_t length = record_encode_amplitudes(&upload, upload_bytes);
     TEST_ASSERT_EQUAL(FAULT_NONE,
                       commit(LINK_FILE_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
@@ -212,11 +212,11 @@ static void a_trial_of_another_law(void) {
 
 static void damage_the_newest(void) {
     char path[] = PAST_PATH;
-    path[5] = (char)('0' + (app.memory.iteration - 1u) % PAST_FILES);
-    const size_t length = boot_load_record(&app, path);
+    path[5] = (char)('0' + (app.learner.memory.iteration - 1u) % VAULT_PAST_PLACES);
+    const size_t length = vault_read(&app.vault, path);
     TEST_ASSERT_GREATER_THAN(0, length);
-    app.record[length - 1u] ^= 1u;
-    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, path, app.record, length));
+    app.vault.record[length - 1u] ^= 1u;
+    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, path, app.vault.record, length));
 }
 
 static void just_reboot(void) {
@@ -228,7 +228,7 @@ static void a_discarded_trial(void) {
     float speed_m_s[BEATS];
     uint16_t beats = 0;
     swim_any(1, speed_m_s, &beats);
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.run.trial.number));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.trial.run.trial.number));
 }
 
 static void check_average_after(void (*event)(void), bool goes_on) {
@@ -288,17 +288,17 @@ static void test_a_hole_ends_the_window(void) {
     swim_and_learn(2);
     damage_the_newest();
     begin_learner(PAST_WINDOW, PAST_WINDOW_MAX);
-    memcpy(learner.amplitude, app.memory.amplitude_rad, BEATS * sizeof(float));
+    memcpy(learner.amplitude, app.learner.memory.amplitude_rad, BEATS * sizeof(float));
     for (uint32_t number = 1; number <= 2u; number++) {
         float speed_m_s[BEATS];
         uint16_t beats = 0;
         swim_any(number, speed_m_s, &beats);
         learn();
         for (uint16_t k = 0; k < BEATS; k++) {
-            (void)learner_measure(&learner, k, SPEED - speed_m_s[k]);
+            (void)buffer_learner_measure(&learner, k, SPEED - speed_m_s[k]);
         }
         law_report_t report;
-        TEST_ASSERT_EQUAL(LAW_OK, learner_end(&learner, beats, &report));
+        TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_end(&learner, beats, &report));
         expect_same_as_learner();
     }
 }
@@ -313,14 +313,15 @@ static void learn_without_the_second(void (*replace)(void), float *amplitude_rad
     swim_and_learn(1);
     replace();
     swim_and_learn(2);
-    memcpy(amplitude_rad, app.memory.amplitude_rad, BEATS * sizeof(float));
+    memcpy(amplitude_rad, app.learner.memory.amplitude_rad, BEATS * sizeof(float));
 }
 
-static void remove_the_second(void) { (void)store_remove(&app.store, "/past2.bin"); }
+static void remove_the_second(void) { (void)store_remove(&app.vault.store, "/past2.bin"); }
 
 static void put_the_first_there(void) {
-    const size_t length = boot_load_record(&app, "/past1.bin");
-    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, "/past2.bin", app.record, length));
+    const size_t length = vault_read(&app.vault, "/past1.bin");
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_replace(&app.vault.store, "/past2.bin", app.vault.record, length));
 }
 
 static void leave_it(void) {}
@@ -348,7 +349,7 @@ static void test_a_roll_back_ends_the_average(void) {
     learn();
     swim(BEATS, bad);
     learn();
-    TEST_ASSERT_EQUAL(MEMORY_INPUT_RESTORED, app.memory.input);
+    TEST_ASSERT_EQUAL(MEMORY_INPUT_RESTORED, app.learner.memory.input);
     swim(BEATS, good);
     learn();
     TEST_ASSERT_EQUAL(1, trials_in_average());
@@ -360,12 +361,12 @@ static void test_a_write_that_fails_changes_nothing(void) {
     float speed_m_s[BEATS];
     uint16_t beats = 0;
     swim_any(2, speed_m_s, &beats);
-    const memory_t before = app.memory;
+    const memory_t before = app.learner.memory;
     uint32_t refusals = 0;
     for (fault_t fault = FAULT_STORAGE; fault != FAULT_NONE; refusals++) {
-        TEST_ASSERT_EQUAL_MEMORY(&before, &app.memory, sizeof before);
+        TEST_ASSERT_EQUAL_MEMORY(&before, &app.learner.memory, sizeof before);
         hal.flash_fail_after = hal.flash_writes + 1u + refusals;
-        fault = command(LINK_COMMAND_LEARN, app.run.trial.number);
+        fault = command(LINK_COMMAND_LEARN, app.trial.run.trial.number);
         hal.flash_fail_after = 0;
         if (fault != FAULT_NONE) {
             TEST_ASSERT_EQUAL(FAULT_STORAGE, fault);
@@ -378,23 +379,23 @@ static void test_a_write_that_fails_changes_nothing(void) {
 
 /* Each a block long. */
 static void leave_past_files(void) {
-    static uint8_t filler[STORE_BLOCK_BYTES];
-    for (char number = '0'; number < '0' + (char)PAST_FILES; number++) {
+    static uint8_t filler[BLOCK_BYTES];
+    for (char number = '0'; number < '0' + (char)VAULT_PAST_PLACES; number++) {
         char path[] = PAST_PATH;
         path[5] = number;
-        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, path, filler, sizeof filler));
+        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, path, filler, sizeof filler));
     }
 }
 
 static void fill_store(uint32_t free_blocks) {
-    static uint8_t filler[STORE_BLOCK_BYTES];
+    static uint8_t filler[BLOCK_BYTES];
     static store_file_t file;
-    TEST_ASSERT_EQUAL(STORE_OK, store_open(&app.store, &file, "/in/filler", STORE_WRITE_NEW));
-    while (store_free_bytes(&app.store) > free_blocks * STORE_BLOCK_BYTES) {
-        TEST_ASSERT_EQUAL(STORE_OK, store_append(&app.store, &file, filler, sizeof filler));
-        TEST_ASSERT_EQUAL(STORE_OK, store_sync(&app.store, &file));
+    TEST_ASSERT_EQUAL(STORE_OK, store_open(&app.vault.store, &file, "/in/filler", STORE_WRITE_NEW));
+    while (store_free_bytes(&app.vault.store) > free_blocks * BLOCK_BYTES) {
+        TEST_ASSERT_EQUAL(STORE_OK, store_append(&app.vault.store, &file, filler, sizeof filler));
+        TEST_ASSERT_EQUAL(STORE_OK, store_sync(&app.vault.store, &file));
     }
-    TEST_ASSERT_EQUAL(STORE_OK, store_close(&app.store, &file));
+    TEST_ASSERT_EQUAL(STORE_OK, store_close(&app.vault.store, &file));
 }
 
 /* The files the law reads, and the trial learned last. */
@@ -426,7 +427,7 @@ static bool count_log(void *context, const store_entry_t *entry) {
 
 static uint32_t count_logs(void) {
     logs = 0;
-    TEST_ASSERT_EQUAL(STORE_OK, store_walk(&app.store, "/trials", 0, count_log, NULL));
+    TEST_ASSERT_EQUAL(STORE_OK, store_walk(&app.vault.store, "/trials", 0, count_log, NULL));
     return logs;
 }
 
@@ -462,9 +463,9 @@ static void test_an_average_goes_on_when_the_iteration_goes_round(void) {
         set(PARAM_ILC_KIND, kind);
         set(PARAM_ILC_WINDOW, (float)PAST_WINDOW_MAX);
         swim_and_learn(1);
-        app.memory.iteration = UINT16_MAX - 4u;
-        app.memory.input = MEMORY_INPUT_UPLOADED;
-        TEST_ASSERT_EQUAL(FAULT_NONE, learn_save(&app));
+        app.learner.memory.iteration = UINT16_MAX - 4u;
+        app.learner.memory.input = MEMORY_INPUT_UPLOADED;
+        TEST_ASSERT_EQUAL(FAULT_NONE, learner_save(&app.learner));
         for (uint32_t number = 1; number <= 12u; number++) {
             swim_and_learn(number);
             const uint32_t most = kind == (float)PAST_MEAN ? 12u : PAST_WINDOW_MAX;
@@ -493,7 +494,7 @@ static void check_told(void (*event)(void), uint32_t times) {
 }
 
 static void lose_all(void) {
-    while (past_drop(&app, 0)) {
+    while (learner_drop_past(&app.learner, 0)) {
     }
 }
 
@@ -511,7 +512,7 @@ static void test_it_is_told_when_a_window_lacks_a_trial(void) {
     for (uint32_t number = 1; number <= 3u; number++) {
         swim_and_learn(number);
     }
-    TEST_ASSERT_TRUE(past_drop(&app, 0)); /* the oldest of three */
+    TEST_ASSERT_TRUE(learner_drop_past(&app.learner, 0)); /* the oldest of three */
     swim_and_learn(1);
     TEST_ASSERT_EQUAL(1, told_missing());
     TEST_ASSERT_EQUAL(3, trials_in_average());
@@ -526,11 +527,11 @@ static void test_the_mean_goes_without_kd(void) {
     float speed_m_s[BEATS];
     uint16_t beats = 0;
     swim_any(2, speed_m_s, &beats);
-    const memory_t before = app.memory;
+    const memory_t before = app.learner.memory;
     set(PARAM_ILC_KD, 0.1f);
-    TEST_ASSERT_EQUAL(FAULT_BAD_LAW, command(LINK_COMMAND_LEARN, app.run.trial.number));
-    TEST_ASSERT_EQUAL_MEMORY(&before, &app.memory, sizeof before);
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.run.trial.number));
+    TEST_ASSERT_EQUAL(FAULT_BAD_LAW, command(LINK_COMMAND_LEARN, app.trial.run.trial.number));
+    TEST_ASSERT_EQUAL_MEMORY(&before, &app.learner.memory, sizeof before);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.trial.run.trial.number));
     TEST_ASSERT_EQUAL(FAULT_BAD_LAW, command(LINK_COMMAND_ARM, 0));
     set(PARAM_ILC_KIND, PAST_WINDOW);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
@@ -554,8 +555,9 @@ static void test_a_stored_law_that_is_none_falls_back(void) {
         params_t params = app.params;
         params.value[PARAM_ILC_KIND] = kind;
         params.value[PARAM_ILC_GAIN] = 3.5f;
-        const size_t length = record_encode_params(&params, app.record);
-        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, PARAMS_PATH, app.record, length));
+        const size_t length = record_encode_params(&params, app.vault.record);
+        TEST_ASSERT_EQUAL(STORE_OK,
+                          store_replace(&app.vault.store, PARAMS_PATH, app.vault.record, length));
         TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_LOAD, 0));
         TEST_ASSERT_EQUAL_FLOAT(PAST_LAST, app.params.value[PARAM_ILC_KIND]);
         TEST_ASSERT_EQUAL_FLOAT(3.5f, app.params.value[PARAM_ILC_GAIN]);

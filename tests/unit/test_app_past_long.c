@@ -12,10 +12,10 @@ void tearDown(void) {}
 
 static void swim_long(uint16_t beats) {
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.next_trial));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.trial.next));
     run_in_steps_ms(20, beats * 1000u);
     run_ms(5000);
-    TEST_ASSERT_TRUE(app.run.pending);
+    TEST_ASSERT_TRUE(app.trial.run.pending);
 }
 
 /* Beside a log of that length there is room for |least| trials of the average at least, less than

@@ -33,7 +33,7 @@ static uint32_t most_pages_of_many_trials(void) {
         TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, n));
         hal.pulse_count = 0;
     }
-    TEST_ASSERT_EQUAL_UINT32(0, app.store.failures);
+    TEST_ASSERT_EQUAL_UINT32(0, app.vault.store.failures);
     return most;
 }
 
@@ -52,15 +52,15 @@ static void test_while_armed(void) {
     for (uint32_t n = 1; n <= 2u * TRIALS; n++) {
         char path[STORE_PATH_BYTES];
         trial_log_path(n, path);
-        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, path, hal.flash, 4000));
+        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, path, hal.flash, 4000));
     }
     const uint32_t before = hal.flash_writes;
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_EQUAL_UINT32(before, hal.flash_writes);
     run_ms(5000);
-    TEST_ASSERT_TRUE(app.room_made);
+    TEST_ASSERT_TRUE(app.trial.preparation.room_made);
     const uint32_t armed = hal.flash_writes;
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.next_trial));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.trial.next));
     TEST_ASSERT_LESS_OR_EQUAL_UINT32(PAGES_MAX, hal.flash_writes - armed);
 }
 

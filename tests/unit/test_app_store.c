@@ -10,12 +10,12 @@ void tearDown(void) {}
 
 /* Commits the reference in upload_bytes and checks that a refusal changes nothing. */
 static void expect_reference_refused(fault_t expected, size_t length) {
-    const uint32_t crc = app.reference.crc;
-    const memory_t memory = app.memory;
+    const uint32_t crc = app.learner.reference.crc;
+    const memory_t memory = app.learner.memory;
     TEST_ASSERT_EQUAL(expected,
                       commit(LINK_FILE_REFERENCE, "/in/reference.bin", upload_bytes, length));
-    TEST_ASSERT_EQUAL_HEX32(crc, app.reference.crc);
-    TEST_ASSERT_EQUAL_MEMORY(&memory, &app.memory, sizeof memory);
+    TEST_ASSERT_EQUAL_HEX32(crc, app.learner.reference.crc);
+    TEST_ASSERT_EQUAL_MEMORY(&memory, &app.learner.memory, sizeof memory);
 }
 
 static size_t encode_with(uint16_t beat, float speed_m_s) {
@@ -30,13 +30,13 @@ static size_t encode_with(uint16_t beat, float speed_m_s) {
 
 static void test_a_good_reference_is_taken_over_and_survives_a_reboot(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
-    TEST_ASSERT_EQUAL(BEATS, app.reference.beats);
-    const uint32_t crc = app.reference.crc;
+    TEST_ASSERT_EQUAL(BEATS, app.learner.reference.beats);
+    const uint32_t crc = app.learner.reference.crc;
     TEST_ASSERT_NOT_EQUAL_UINT32(0, crc);
     reboot();
-    TEST_ASSERT_EQUAL_HEX32(crc, app.reference.crc);
-    TEST_ASSERT_EQUAL_FLOAT(SPEED, app.reference.speed_m_s[4]);
-    TEST_ASSERT_EQUAL_HEX32(crc, app.memory.reference_crc);
+    TEST_ASSERT_EQUAL_HEX32(crc, app.learner.reference.crc);
+    TEST_ASSERT_EQUAL_FLOAT(SPEED, app.learner.reference.speed_m_s[4]);
+    TEST_ASSERT_EQUAL_HEX32(crc, app.learner.memory.reference_crc);
 }
 
 static void test_bad_references_are_refused_and_change_nothing(void) {
@@ -60,7 +60,7 @@ static void test_a_reference_off_the_servo_grid_is_refused(void) {
 
 static void test_a_commit_must_name_the_file_that_is_there(void) {
     const size_t length = encode_flat_reference(BEATS, SPEED);
-    (void)store_replace(&app.store, "/in/reference.bin", upload_bytes, length);
+    (void)store_replace(&app.vault.store, "/in/reference.bin", upload_bytes, length);
     link_command_t request = {.id = LINK_COMMAND_COMMIT,
                               .file = LINK_FILE_REFERENCE,
                               .length_bytes = (uint32_t)length,
@@ -80,37 +80,37 @@ static void test_the_same_reference_again_keeps_what_was_learned(void) {
     swim_whole_trial(BEATS, SPEED);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
-    TEST_ASSERT_EQUAL(2, app.memory.iteration);
+    TEST_ASSERT_EQUAL(2, app.learner.memory.iteration);
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED * 0.9f));
-    TEST_ASSERT_EQUAL(0, app.memory.iteration);
-    TEST_ASSERT_EQUAL(1, app.memory.last_trial);
+    TEST_ASSERT_EQUAL(0, app.learner.memory.iteration);
+    TEST_ASSERT_EQUAL(1, app.learner.memory.last_trial);
 }
 
 static void test_a_pending_trial_survives_a_reboot(void) {
     swim_whole_trial(BEATS, SPEED);
-    const memory_t memory = app.memory;
+    const memory_t memory = app.learner.memory;
     reboot();
-    TEST_ASSERT_TRUE(app.run.pending);
-    TEST_ASSERT_EQUAL(1, app.run.trial.number);
-    TEST_ASSERT_EQUAL(2, app.next_trial);
-    TEST_ASSERT_EQUAL_MEMORY(memory.amplitude_rad, app.memory.amplitude_rad, BEATS * 4u);
+    TEST_ASSERT_TRUE(app.trial.run.pending);
+    TEST_ASSERT_EQUAL(1, app.trial.run.trial.number);
+    TEST_ASSERT_EQUAL(2, app.trial.next);
+    TEST_ASSERT_EQUAL_MEMORY(memory.amplitude_rad, app.learner.memory.amplitude_rad, BEATS * 4u);
     TEST_ASSERT_EQUAL(FAULT_TRIAL_PENDING, upload_flat_reference(BEATS, SPEED / 2));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
-    const memory_t learned = app.memory;
+    const memory_t learned = app.learner.memory;
     reboot();
-    TEST_ASSERT_FALSE(app.run.pending);
-    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
+    TEST_ASSERT_FALSE(app.trial.run.pending);
+    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.learner.memory, sizeof learned);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
 }
 
 static void test_the_trial_number_never_comes_twice(void) {
     swim_whole_trial(BEATS, SPEED);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, 1));
-    TEST_ASSERT_EQUAL(STORE_OK, store_remove(&app.store, "/trials/0001.ulg"));
+    TEST_ASSERT_EQUAL(STORE_OK, store_remove(&app.vault.store, "/trials/0001.ulg"));
     reboot();
-    TEST_ASSERT_EQUAL(2, app.next_trial);
+    TEST_ASSERT_EQUAL(2, app.trial.next);
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED * 0.9f));
-    TEST_ASSERT_EQUAL(2, app.next_trial);
+    TEST_ASSERT_EQUAL(2, app.trial.next);
 }
 
 static size_t encode_speeds(uint32_t trial, uint16_t beats, float speed_m_s) {
@@ -137,20 +137,20 @@ static void test_speeds_uploaded_after_the_swim_are_learned_from(void) {
     TEST_ASSERT_EQUAL(FAULT_WRONG_BEATS, upload_speeds(1, BEATS - 1u, 0.03f));
     TEST_ASSERT_EQUAL(FAULT_BAD_DATA, upload_speeds(1, BEATS, 1.5f));
     uint32_t before_bytes = 0, after_bytes = 0;
-    (void)store_size(&app.store, "/trials/0001.ulg", &before_bytes);
+    (void)store_size(&app.vault.store, "/trials/0001.ulg", &before_bytes);
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_speeds(1, BEATS, 0.03f));
-    (void)store_size(&app.store, "/trials/0001.ulg", &after_bytes);
+    (void)store_size(&app.vault.store, "/trials/0001.ulg", &after_bytes);
     TEST_ASSERT_GREATER_THAN_UINT32(before_bytes, after_bytes);
     reboot();
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
     TEST_ASSERT_FLOAT_WITHIN(1e-6f, 4.0f * SPEED + 4.0f * (SPEED - 0.03f),
-                             app.memory.amplitude_rad[3]);
+                             app.learner.memory.amplitude_rad[3]);
 }
 
 static void test_uploaded_amplitudes_swim_next_and_stay_at_arming(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
     static amplitudes_upload_t upload;
-    upload.reference_crc = app.reference.crc;
+    upload.reference_crc = app.learner.reference.crc;
     upload.beats = BEATS;
     for (uint16_t k = 0; k < BEATS; k++) {
         upload.amplitude_rad[k] = 0.1f * (float)k;
@@ -159,8 +159,8 @@ static void test_uploaded_amplitudes_swim_next_and_stay_at_arming(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE,
                       commit(LINK_FILE_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
-    TEST_ASSERT_EQUAL_FLOAT(0.3f, app.memory.amplitude_rad[3]);
-    TEST_ASSERT_EQUAL(MEMORY_INPUT_UPLOADED, app.memory.input);
+    TEST_ASSERT_EQUAL_FLOAT(0.3f, app.learner.memory.amplitude_rad[3]);
+    TEST_ASSERT_EQUAL(MEMORY_INPUT_UPLOADED, app.learner.memory.input);
     (void)command(LINK_COMMAND_DISARM, 0);
     upload.reference_crc ^= 1u;
     length = record_encode_amplitudes(&upload, upload_bytes);
@@ -172,18 +172,18 @@ static void test_what_was_learned_comes_back_from_a_backup(void) {
     static uint8_t backup[RECORD_TRIAL_MAX_BYTES];
     swim_whole_trial(BEATS, SPEED);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
-    const size_t length = record_encode_memory(&app.memory, backup);
+    const size_t length = record_encode_memory(&app.learner.memory, backup);
     memset(hal.flash, 0xFF, sizeof hal.flash); /* erased with the chip */
     reboot();
-    TEST_ASSERT_EQUAL(1, app.next_trial);
+    TEST_ASSERT_EQUAL(1, app.trial.next);
     TEST_ASSERT_EQUAL(FAULT_WRONG_BEATS,
                       commit(LINK_FILE_LEARNED, "/in/learned.bin", backup, length));
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
     TEST_ASSERT_EQUAL(FAULT_NONE, commit(LINK_FILE_LEARNED, "/in/learned.bin", backup, length));
-    TEST_ASSERT_EQUAL(2, app.next_trial);
+    TEST_ASSERT_EQUAL(2, app.trial.next);
     reboot();
-    TEST_ASSERT_EQUAL(2, app.next_trial);
-    TEST_ASSERT_EQUAL(length, record_encode_memory(&app.memory, upload_bytes));
+    TEST_ASSERT_EQUAL(2, app.trial.next);
+    TEST_ASSERT_EQUAL(length, record_encode_memory(&app.learner.memory, upload_bytes));
     TEST_ASSERT_EQUAL_MEMORY(backup, upload_bytes, length);
     backup[length - 1u] ^= 1u;
     TEST_ASSERT_EQUAL(FAULT_BAD_FORMAT,
@@ -194,30 +194,31 @@ static void test_what_was_learned_comes_back_from_a_backup(void) {
 static void test_what_an_older_firmware_learned_stays(void) {
     swim_whole_trial(BEATS, SPEED);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
-    TEST_ASSERT_EQUAL(1, app.memory.visits[BEATS - 1u]);
-    const memory_t learned = app.memory;
-    app.memory.peaks.count = 0;
-    const size_t length = record_encode_memory(&app.memory, upload_bytes) - BEATS;
+    TEST_ASSERT_EQUAL(1, app.learner.memory.visits[BEATS - 1u]);
+    const memory_t learned = app.learner.memory;
+    app.learner.memory.peaks.count = 0;
+    const size_t length = record_encode_memory(&app.learner.memory, upload_bytes) - BEATS;
     (void)bytes_put_u16(upload_bytes + 4, 1);
     const uint32_t front = crc32_update(0, upload_bytes, 8);
     (void)bytes_put_u32(upload_bytes + 8, crc32_update(front, upload_bytes + 12, length - 12u));
-    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, "/learned.bin", upload_bytes, length));
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_replace(&app.vault.store, "/learned.bin", upload_bytes, length));
     reboot();
-    TEST_ASSERT_EQUAL(2, app.memory.iteration);
-    TEST_ASSERT_EQUAL(0, app.memory.visits[BEATS - 1u]);
-    TEST_ASSERT_EQUAL_MEMORY(learned.amplitude_rad, app.memory.amplitude_rad, BEATS * 4u);
-    TEST_ASSERT_EQUAL_MEMORY(learned.best_rad, app.memory.best_rad, BEATS * 4u);
+    TEST_ASSERT_EQUAL(2, app.learner.memory.iteration);
+    TEST_ASSERT_EQUAL(0, app.learner.memory.visits[BEATS - 1u]);
+    TEST_ASSERT_EQUAL_MEMORY(learned.amplitude_rad, app.learner.memory.amplitude_rad, BEATS * 4u);
+    TEST_ASSERT_EQUAL_MEMORY(learned.best_rad, app.learner.memory.best_rad, BEATS * 4u);
 }
 
 static void test_the_first_input_follows_the_gain_of_the_moment(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
-    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 4.0f * SPEED, app.memory.amplitude_rad[0]);
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 4.0f * SPEED, app.learner.memory.amplitude_rad[0]);
     TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, commands_param_set(&app, PARAM_ILC_GAIN, 5.0f));
     (void)command(LINK_COMMAND_DISARM, 0);
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_GAIN, 5.0f));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
-    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 5.0f * SPEED, app.memory.amplitude_rad[0]);
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 5.0f * SPEED, app.learner.memory.amplitude_rad[0]);
 }
 
 static void test_the_first_input_follows_the_gain_across_a_reboot(void) {
@@ -226,7 +227,7 @@ static void test_the_first_input_follows_the_gain_across_a_reboot(void) {
     reboot();
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_GAIN, 5.0f));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
-    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 5.0f * SPEED, app.memory.amplitude_rad[0]);
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 5.0f * SPEED, app.learner.memory.amplitude_rad[0]);
 }
 
 static void test_arming_checks_the_reference_against_the_limits_of_the_moment(void) {
@@ -241,9 +242,10 @@ static void test_arming_checks_the_reference_against_the_limits_of_the_moment(vo
 
 static void test_failing_flash_refuses_uploaded_speeds_and_keeps_the_measured_ones(void) {
     swim_whole_trial(BEATS, SPEED);
-    const float measured_m_s = app.run.trial.speed_m_s[1];
+    const float measured_m_s = app.trial.run.trial.speed_m_s[1];
     const size_t length = encode_speeds(1, BEATS, 0.03f);
-    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, "/in/speeds.bin", upload_bytes, length));
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_replace(&app.vault.store, "/in/speeds.bin", upload_bytes, length));
     hal.flash_fail_after = hal.flash_writes;
     const link_command_t request = {.id = LINK_COMMAND_COMMIT,
                                     .file = LINK_FILE_SPEEDS,
@@ -251,8 +253,8 @@ static void test_failing_flash_refuses_uploaded_speeds_and_keeps_the_measured_on
                                     .crc = crc32_update(0, upload_bytes, length)};
     TEST_ASSERT_EQUAL(FAULT_STORAGE, commands_run(&app, &request));
     TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
-    TEST_ASSERT_TRUE(app.run.pending);
-    TEST_ASSERT_EQUAL_FLOAT(measured_m_s, app.run.trial.speed_m_s[1]);
+    TEST_ASSERT_TRUE(app.trial.run.pending);
+    TEST_ASSERT_EQUAL_FLOAT(measured_m_s, app.trial.run.trial.speed_m_s[1]);
 }
 
 static void test_bad_gains_are_refused(void) {
@@ -279,10 +281,10 @@ static void test_parameters_persist_only_when_saved(void) {
 
 static void test_failing_flash_refuses_the_update_and_keeps_the_old_input(void) {
     swim_whole_trial(BEATS, SPEED);
-    const memory_t before = app.memory;
+    const memory_t before = app.learner.memory;
     hal.flash_fail_after = hal.flash_writes;
     TEST_ASSERT_EQUAL(FAULT_STORAGE, command(LINK_COMMAND_LEARN, 1));
-    TEST_ASSERT_EQUAL_MEMORY(before.amplitude_rad, app.memory.amplitude_rad, BEATS * 4u);
+    TEST_ASSERT_EQUAL_MEMORY(before.amplitude_rad, app.learner.memory.amplitude_rad, BEATS * 4u);
     TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
     TEST_ASSERT_EQUAL(FAULT_STORAGE, app.supervisor.reason);
     hal.flash_fail_after = 0;
@@ -300,18 +302,18 @@ static void test_flash_that_fails_while_armed_or_during_an_upload_is_a_fault(voi
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
     run_ms(200);
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-    TEST_ASSERT_EQUAL(STORE_IO, store_replace(&app.store, "/in/reference.bin", "x", 1));
+    TEST_ASSERT_EQUAL(STORE_IO, store_replace(&app.vault.store, "/in/reference.bin", "x", 1));
     run_ms(20);
     TEST_ASSERT_EQUAL(FAULT_STORAGE, app.supervisor.reason);
 }
 
 static void test_a_full_store_is_no_fault(void) {
-    static uint8_t piece[60u * STORE_BLOCK_BYTES];
+    static uint8_t piece[60u * BLOCK_BYTES];
     store_result_t result = STORE_OK;
     char path[] = "/in/a";
     for (size_t length = sizeof piece; length > 0; length /= 2u) {
         for (result = STORE_OK; result == STORE_OK; path[4]++) {
-            result = store_replace(&app.store, path, piece, length);
+            result = store_replace(&app.vault.store, path, piece, length);
         }
         TEST_ASSERT_EQUAL(STORE_NO_SPACE, result);
     }
@@ -335,11 +337,11 @@ static void test_a_lead_as_long_as_the_trial_does_not_arm(void) {
 static void test_the_best_comes_back_on_request(void) {
     TEST_ASSERT_EQUAL(FAULT_NO_BEST, command(LINK_COMMAND_RESTORE_BEST, 0));
     swim_whole_trial(BEATS, SPEED);
-    const float swum_rad = app.run.trial.amplitude_rad[1];
+    const float swum_rad = app.trial.run.trial.amplitude_rad[1];
     TEST_ASSERT_EQUAL(FAULT_TRIAL_PENDING, command(LINK_COMMAND_RESTORE_BEST, 0));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_RESTORE_BEST, 0));
-    TEST_ASSERT_EQUAL_FLOAT(swum_rad, app.memory.amplitude_rad[1]);
+    TEST_ASSERT_EQUAL_FLOAT(swum_rad, app.learner.memory.amplitude_rad[1]);
 }
 
 static void test_a_watchdog_reset_is_told_and_must_be_cleared(void) {
@@ -366,9 +368,10 @@ static void test_a_crash_is_told_and_kept_in_a_file(void) {
     TEST_ASSERT_FALSE(hal.crashed);
     uint32_t length = 0;
     crash_report_t report;
-    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, "/crash.bin", &length));
-    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.store, "/crash.bin", app.record, length));
-    TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_crash(app.record, length, &report));
+    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.vault.store, "/crash.bin", &length));
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_load(&app.vault.store, "/crash.bin", app.vault.record, length));
+    TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_crash(app.vault.record, length, &report));
     TEST_ASSERT_EQUAL_STRING(link_build_id(), report.build_id);
     TEST_ASSERT_EQUAL_STRING("gait.c:12", report.crash.where);
     TEST_ASSERT_EQUAL_HEX32(0x80123u, report.crash.pc);
@@ -380,7 +383,7 @@ static void test_a_crash_is_told_and_kept_in_a_file(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
     reboot();
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, "/crash.bin", &length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.vault.store, "/crash.bin", &length));
 }
 
 static void test_a_crash_that_cannot_be_stored_is_kept_for_the_next_boot(void) {

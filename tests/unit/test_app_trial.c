@@ -49,10 +49,10 @@ static void test_a_trial_swims_every_beat_and_becomes_pending(void) {
     run_ms(5000);
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
     TEST_ASSERT_EQUAL_UINT16(0, last_pulse());
-    TEST_ASSERT_TRUE(app.run.pending);
-    TEST_ASSERT_EQUAL(BEATS, app.run.trial.executed);
+    TEST_ASSERT_TRUE(app.trial.run.pending);
+    TEST_ASSERT_EQUAL(BEATS, app.trial.run.trial.executed);
     for (uint16_t k = 0; k < BEATS; k++) {
-        TEST_ASSERT_FLOAT_WITHIN(1e-5f, swim_speed_m_s, app.run.trial.speed_m_s[k]);
+        TEST_ASSERT_FLOAT_WITHIN(1e-5f, swim_speed_m_s, app.trial.run.trial.speed_m_s[k]);
     }
 }
 
@@ -60,44 +60,44 @@ static void test_learning_adds_gain_times_error(void) {
     swim_whole_trial(BEATS, SPEED);
     const float gain = app.params.value[PARAM_ILC_GAIN];
     const float first_rad = gain * SPEED;
-    TEST_ASSERT_FLOAT_WITHIN(1e-6f, first_rad, app.memory.amplitude_rad[2]);
-    const uint32_t trial = app.run.trial.number;
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, first_rad, app.learner.memory.amplitude_rad[2]);
+    const uint32_t trial = app.trial.run.trial.number;
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, trial));
     TEST_ASSERT_FLOAT_WITHIN(1e-6f, first_rad + gain * (SPEED - swim_speed_m_s),
-                             app.memory.amplitude_rad[2]);
-    TEST_ASSERT_EQUAL(2, app.memory.iteration);
-    TEST_ASSERT_FALSE(app.run.pending);
+                             app.learner.memory.amplitude_rad[2]);
+    TEST_ASSERT_EQUAL(2, app.learner.memory.iteration);
+    TEST_ASSERT_FALSE(app.trial.run.pending);
 }
 
 static void test_a_repeated_learn_does_nothing(void) {
     swim_whole_trial(BEATS, SPEED);
-    const uint32_t trial = app.run.trial.number;
+    const uint32_t trial = app.trial.run.trial.number;
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, trial));
-    const memory_t learned = app.memory;
+    const memory_t learned = app.learner.memory;
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, trial));
-    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
+    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.learner.memory, sizeof learned);
     TEST_ASSERT_EQUAL(FAULT_NO_TRIAL, command(LINK_COMMAND_LEARN, trial + 1u));
     TEST_ASSERT_EQUAL(FAULT_NO_TRIAL, command(LINK_COMMAND_LEARN, 0));
 }
 
 static void test_a_repeated_start_does_nothing_and_another_is_refused(void) {
     start_trial(BEATS, SPEED);
-    const uint32_t trial = app.run.trial.number;
+    const uint32_t trial = app.trial.run.trial.number;
     run_ms(1500);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, trial));
     TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, command(LINK_COMMAND_START, trial + 1u));
-    TEST_ASSERT_EQUAL(1, app.executed);
+    TEST_ASSERT_EQUAL(1, app.trial.executed);
     TEST_ASSERT_EQUAL(STATE_RUNNING, app.supervisor.state);
 }
 
 static void test_a_start_must_be_fresh_and_for_the_next_trial(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
     run_ms(5000);
-    TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, command(LINK_COMMAND_START, app.next_trial));
+    TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, command(LINK_COMMAND_START, app.trial.next));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
-    TEST_ASSERT_EQUAL(FAULT_TRIAL_NUMBER, command(LINK_COMMAND_START, app.next_trial + 1u));
+    TEST_ASSERT_EQUAL(FAULT_TRIAL_NUMBER, command(LINK_COMMAND_START, app.trial.next + 1u));
     link_command_t request = {.id = LINK_COMMAND_START,
-                              .trial = app.next_trial,
+                              .trial = app.trial.next,
                               .issued_s = 2.9f,
                               .port = HAL_PORT_RADIO,
                               .system = HOST_SYSTEM};
@@ -122,12 +122,12 @@ static void test_the_led_shows_the_trial_from_its_start_on(void) {
     run_ms(20);
     TEST_ASSERT_FALSE(hal.led);
     start_trial(BEATS, SPEED);
-    const uint32_t trial = app.run.trial.number;
+    const uint32_t trial = app.trial.run.trial.number;
     uint32_t dark_frames = 0;
     for (uint32_t i = 0; i < BEATS * 50u + 300u; i++) {
         pass_without_tick();
         run_ms(10);
-        const uint64_t start_us = app.run.start_us;
+        const uint64_t start_us = app.trial.run.start_us;
         if (start_us == 0 || hal.now_us < start_us) {
             TEST_ASSERT_EQUAL(app.supervisor.state == STATE_RUNNING, hal.led);
             continue;
@@ -170,37 +170,37 @@ static void test_an_aborted_trial_is_learned_from_as_far_as_it_swam(void) {
     run_ms(5000);
     TEST_ASSERT_EQUAL(STATE_ABORTED, app.supervisor.state);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
-    TEST_ASSERT_EQUAL(2, app.run.trial.executed);
-    TEST_ASSERT_EQUAL(FAULT_ABORT_COMMAND, app.run.trial.end);
+    TEST_ASSERT_EQUAL(2, app.trial.run.trial.executed);
+    TEST_ASSERT_EQUAL(FAULT_ABORT_COMMAND, app.trial.run.trial.end);
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_LEAD, 0.0f));
-    const float before_rad = app.memory.amplitude_rad[3];
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.run.trial.number));
+    const float before_rad = app.learner.memory.amplitude_rad[3];
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.trial.run.trial.number));
     TEST_ASSERT_FLOAT_WITHIN(1e-6f, 4.0f * SPEED + 4.0f * (SPEED - swim_speed_m_s),
-                             app.memory.amplitude_rad[1]);
-    TEST_ASSERT_EQUAL_FLOAT(before_rad, app.memory.amplitude_rad[3]);
-    TEST_ASSERT_EQUAL(0, app.memory.best_iteration);
+                             app.learner.memory.amplitude_rad[1]);
+    TEST_ASSERT_EQUAL_FLOAT(before_rad, app.learner.memory.amplitude_rad[3]);
+    TEST_ASSERT_EQUAL(0, app.learner.memory.best_iteration);
 }
 
 static void test_an_abort_before_the_first_beat_leaves_nothing_to_learn(void) {
     start_trial(BEATS, SPEED);
-    const uint32_t trial = app.run.trial.number;
+    const uint32_t trial = app.trial.run.trial.number;
     run_ms(400);
     (void)command(LINK_COMMAND_ABORT, 0);
     run_ms(5000);
     (void)command(LINK_COMMAND_CLEAR, 0);
-    TEST_ASSERT_FALSE(app.run.pending);
+    TEST_ASSERT_FALSE(app.trial.run.pending);
     TEST_ASSERT_EQUAL(FAULT_NO_TRIAL, command(LINK_COMMAND_LEARN, trial));
-    TEST_ASSERT_EQUAL(trial + 1u, app.next_trial);
+    TEST_ASSERT_EQUAL(trial + 1u, app.trial.next);
 }
 
 static void test_a_trial_without_speeds_is_not_learned_from(void) {
     camera_on = false;
     swim_whole_trial(BEATS, SPEED);
-    const memory_t before = app.memory;
-    TEST_ASSERT_EQUAL(FAULT_NOTHING_MEASURED, command(LINK_COMMAND_LEARN, app.run.trial.number));
-    TEST_ASSERT_EQUAL_MEMORY(&before, &app.memory, sizeof before);
+    const memory_t before = app.learner.memory;
+    TEST_ASSERT_EQUAL(FAULT_NOTHING_MEASURED, command(LINK_COMMAND_LEARN, app.trial.run.trial.number));
+    TEST_ASSERT_EQUAL_MEMORY(&before, &app.learner.memory, sizeof before);
     TEST_ASSERT_EQUAL(FAULT_TRIAL_PENDING, command(LINK_COMMAND_ARM, 0));
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.run.trial.number));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.trial.run.trial.number));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
 }
 
@@ -219,7 +219,7 @@ static void test_a_silent_host_stops_the_tail_and_the_trial_stays(void) {
     run_ms(5000);
     TEST_ASSERT_EQUAL(STATE_ABORTED, app.supervisor.state);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
-    TEST_ASSERT_TRUE(app.run.pending);
+    TEST_ASSERT_TRUE(app.trial.run.pending);
 }
 
 static void test_another_host_does_not_keep_the_tail_going(void) {
@@ -237,7 +237,7 @@ static void test_an_unattended_trial_swims_to_its_end(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LINK_TIMEOUT_S, 0.0f));
     host_alive = false;
     swim_whole_trial(12, SPEED / 2);
-    TEST_ASSERT_EQUAL(12, app.run.trial.executed);
+    TEST_ASSERT_EQUAL(12, app.trial.run.trial.executed);
 }
 
 static void test_a_low_battery_does_not_arm_and_a_critical_one_stops(void) {
@@ -260,8 +260,8 @@ static void test_a_reading_at_the_limit_warns_does_not_arm_and_stops(void) {
     hal.battery_mv = 12000;
     run_ms(1000);
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-    TEST_ASSERT_TRUE(app.status.battery.at_limit);
-    TEST_ASSERT_TRUE(app.battery.limit_told);
+    TEST_ASSERT_TRUE(app.loop.status.battery.at_limit);
+    TEST_ASSERT_TRUE(app.trial.battery.limit_told);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
     TEST_ASSERT_EQUAL(FAULT_BATTERY_SENSE, command(LINK_COMMAND_ARM, 0));
     hal.battery_mv = 8000;
@@ -288,43 +288,43 @@ static void test_a_bare_board_runs_with_the_documented_values(void) {
         run_ms(1500);
         TEST_ASSERT_EQUAL(STATE_RUNNING, app.supervisor.state);
     }
-    TEST_ASSERT_FALSE(app.battery.limit_told);
+    TEST_ASSERT_FALSE(app.trial.battery.limit_told);
 }
 
 static void test_the_divider_is_a_parameter(void) {
     hal.battery_mv = 8000;
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_BATT_DIVIDER, 3.3f));
     run_ms(20);
-    TEST_ASSERT_EQUAL(8800, app.status.battery.mv);
+    TEST_ASSERT_EQUAL(8800, app.loop.status.battery.mv);
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_BATT_ADC_V, 3.0f));
     run_ms(20);
-    TEST_ASSERT_EQUAL(8000, app.status.battery.mv);
+    TEST_ASSERT_EQUAL(8000, app.loop.status.battery.mv);
 }
 
 static void test_a_second_trial_of_the_same_board_starts_afresh(void) {
     swim_whole_trial(BEATS, SPEED);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
     swim_whole_trial(BEATS, SPEED);
-    TEST_ASSERT_EQUAL(2, app.run.trial.number);
-    TEST_ASSERT_EQUAL(2, app.run.trial.iteration);
-    TEST_ASSERT_EQUAL(BEATS, app.run.trial.executed);
+    TEST_ASSERT_EQUAL(2, app.trial.run.trial.number);
+    TEST_ASSERT_EQUAL(2, app.trial.run.trial.iteration);
+    TEST_ASSERT_EQUAL(BEATS, app.trial.run.trial.executed);
 }
 
 /* They would lie in open slots; nobody measures the time to come. */
 static void test_speeds_of_a_time_to_come_are_dropped(void) {
     start_trial(BEATS, SPEED);
     run_ms(3000);
-    const uint32_t early = app.run.speed.counters.early;
-    const uint32_t accepted = app.run.speed.counters.accepted;
+    const uint32_t early = app.trial.run.speed.counters.early;
+    const uint32_t accepted = app.trial.run.speed.counters.accepted;
     link_vision_t sample = {.speed_m_s = 0.3f, .sigma_m_s = 0.001f};
     sample.time_us = hal.now_us + 1000000u;
     app.link.handlers.vision(app.link.handlers.context, &sample);
     sample.time_us = hal.now_us + 4000000u;
     app.link.handlers.vision(app.link.handlers.context, &sample);
-    TEST_ASSERT_EQUAL_UINT32(early + 2u, app.run.speed.counters.early);
+    TEST_ASSERT_EQUAL_UINT32(early + 2u, app.trial.run.speed.counters.early);
     sample.time_us = hal.now_us + 300000u; /* a clock that is a little ahead */
     app.link.handlers.vision(app.link.handlers.context, &sample);
-    TEST_ASSERT_EQUAL_UINT32(accepted + 1u, app.run.speed.counters.accepted);
+    TEST_ASSERT_EQUAL_UINT32(accepted + 1u, app.trial.run.speed.counters.accepted);
 }
 
 int main(void) {

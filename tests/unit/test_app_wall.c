@@ -32,8 +32,8 @@ static void cut_trial(void) {
 }
 
 static void assert_measured(uint16_t measured, float speed_m_s) {
-    const trial_t *trial = &app.run.trial;
-    TEST_ASSERT_TRUE(app.run.pending);
+    const trial_record_t *trial = &app.trial.run.trial;
+    TEST_ASSERT_TRUE(app.trial.run.pending);
     TEST_ASSERT_EQUAL(FAULT_WALL, trial->end);
     TEST_ASSERT_EQUAL(SWUM, trial->executed);
     for (uint16_t k = 0; k < BEATS; k++) {
@@ -66,19 +66,19 @@ static void test_an_abort_by_command_takes_no_beat_away(void) {
     run_ms(SWUM * 1000u + 500u);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ABORT, 0));
     run_ms(5000);
-    TEST_ASSERT_EQUAL(FAULT_ABORT_COMMAND, app.run.trial.end);
+    TEST_ASSERT_EQUAL(FAULT_ABORT_COMMAND, app.trial.run.trial.end);
     for (uint16_t k = 0; k < SWUM; k++) {
-        TEST_ASSERT_FLOAT_WITHIN(1e-5f, swim_speed_m_s, app.run.trial.speed_m_s[k]);
+        TEST_ASSERT_FLOAT_WITHIN(1e-5f, swim_speed_m_s, app.trial.run.trial.speed_m_s[k]);
     }
 }
 
 static void test_guarded_beats_learn_nothing(void) {
     cut_trial();
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_LEAD, 0.0f));
-    const memory_t before = app.memory;
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.run.trial.number));
+    const memory_t before = app.learner.memory;
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.trial.run.trial.number));
     for (uint16_t k = 0; k < BEATS; k++) {
-        const float change_rad = app.memory.amplitude_rad[k] - before.amplitude_rad[k];
+        const float change_rad = app.learner.memory.amplitude_rad[k] - before.amplitude_rad[k];
         if (k < SWUM - 1u) {
             TEST_ASSERT_FLOAT_WITHIN(2e-5f, 4.0f * (SPEED - swim_speed_m_s), change_rad);
         } else {
@@ -90,13 +90,13 @@ static void test_guarded_beats_learn_nothing(void) {
 static void test_with_all_beats_guarded_there_is_nothing_to_learn(void) {
     guard_beats(10.0f);
     cut_trial();
-    TEST_ASSERT_EQUAL(FAULT_NOTHING_MEASURED, command(LINK_COMMAND_LEARN, app.run.trial.number));
-    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.run.trial.number));
+    TEST_ASSERT_EQUAL(FAULT_NOTHING_MEASURED, command(LINK_COMMAND_LEARN, app.trial.run.trial.number));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.trial.run.trial.number));
 }
 
 static void upload(void) {
     static speed_upload_t speeds;
-    speeds.trial = app.run.trial.number;
+    speeds.trial = app.trial.run.trial.number;
     speeds.beats = BEATS;
     for (uint16_t k = 0; k < BEATS; k++) {
         speeds.speed_m_s[k] = UPLOADED;
@@ -137,9 +137,9 @@ static void test_a_wall_after_the_last_beat_cuts_nothing(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, come_near_a_wall());
     TEST_ASSERT_EQUAL(STATE_SETTLING, app.supervisor.state);
     run_ms(5000);
-    TEST_ASSERT_EQUAL(FAULT_NONE, app.run.trial.end);
+    TEST_ASSERT_EQUAL(FAULT_NONE, app.trial.run.trial.end);
     for (uint16_t k = 0; k < BEATS; k++) {
-        TEST_ASSERT_FLOAT_WITHIN(1e-5f, swim_speed_m_s, app.run.trial.speed_m_s[k]);
+        TEST_ASSERT_FLOAT_WITHIN(1e-5f, swim_speed_m_s, app.trial.run.trial.speed_m_s[k]);
     }
 }
 

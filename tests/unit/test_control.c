@@ -1,4 +1,4 @@
-#include "app/control.h"
+#include "trial/control.h"
 #include "blink/blink.h"
 
 #include "mock_hal.h"

@@ -55,6 +55,7 @@ static const struct {
     {29, "FILE_DAMAGED", FAULT_KIND_FAULT},
     {30, "STORE_OLDER", FAULT_KIND_FAULT},
     {31, "BATTERY_SENSE", FAULT_KIND_FAULT},
+    {32, "STORE_UNFIT", FAULT_KIND_FAULT},
     {40, "WRONG_STATE", FAULT_KIND_REFUSAL},
     {41, "NO_REFERENCE", FAULT_KIND_REFUSAL},
     {42, "BATTERY_LOW", FAULT_KIND_REFUSAL},
@@ -83,6 +84,7 @@ static const struct {
     {65, "OTHER_HOST", FAULT_KIND_REFUSAL},
     {66, "LAW_FEEDBACK", FAULT_KIND_REFUSAL},
     {67, "LAW_SIGN", FAULT_KIND_REFUSAL},
+    {68, "ERASING", FAULT_KIND_REFUSAL},
 };
 
 static void numbers_are_stable(void) {

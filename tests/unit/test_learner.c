@@ -13,13 +13,13 @@
 #define GUARD 0xA5u
 #define MEMORY_BYTES 4096u
 
-static learner_config_t config;
-static learner_t learner;
+static buffer_learner_config_t config;
+static buffer_learner_t learner;
 static law_report_t report;
 static _Alignas(8) uint8_t memory[MEMORY_BYTES + GUARD_BYTES];
 
 void setUp(void) {
-    config = (learner_config_t){
+    config = (buffer_learner_config_t){
         .law = {.kp_rad_s_m = 1.0f,
                 .amplitude_min_rad = -100.0f,
                 .amplitude_max_rad = 100.0f,
@@ -34,23 +34,23 @@ void setUp(void) {
 void tearDown(void) {}
 
 static void begin(const float *first) {
-    TEST_ASSERT_EQUAL(LAW_OK, learner_init(&learner, &config, first, memory, MEMORY_BYTES));
+    TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_init(&learner, &config, first, memory, MEMORY_BYTES));
 }
 
 static void swim(const float *errors, uint16_t valid) {
     for (uint16_t k = 0; k < config.samples; k++) {
-        TEST_ASSERT_EQUAL(LAW_OK, learner_measure(&learner, k, errors[k]));
+        TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_measure(&learner, k, errors[k]));
     }
-    TEST_ASSERT_EQUAL(LAW_OK, learner_end(&learner, valid, &report));
+    TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_end(&learner, valid, &report));
 }
 
 static void check(const float *expected) {
     for (uint16_t k = 0; k < config.samples; k++) {
-        TEST_ASSERT_FLOAT_WITHIN(1e-6f, expected[k], learner_output(&learner, k));
+        TEST_ASSERT_FLOAT_WITHIN(1e-6f, expected[k], buffer_learner_output(&learner, k));
     }
 }
 
-static void use_window(uint16_t window, learner_history_t history) {
+static void use_window(uint16_t window, buffer_learner_history_t history) {
     config.past = PAST_WINDOW;
     config.window = window;
     config.history = history;
@@ -205,7 +205,7 @@ static void test_a_trial_with_nothing_valid_changes_no_input_and_counts(void) {
 static void test_a_trial_nobody_measured_is_like_one_with_nothing_valid(void) {
     begin((float[]){0.1f, 0.2f, 0.3f});
     swim((float[]){0.1f, 0.1f, 0.1f}, SAMPLES);
-    TEST_ASSERT_EQUAL(LAW_OK, learner_end(&learner, SAMPLES, &report));
+    TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_end(&learner, SAMPLES, &report));
     check((float[]){0.2f, 0.3f, 0.4f});
     TEST_ASSERT_EQUAL(0, report.measured_beats);
     TEST_ASSERT_EQUAL(2, learner.trials);
@@ -213,16 +213,16 @@ static void test_a_trial_nobody_measured_is_like_one_with_nothing_valid(void) {
 
 static void test_a_non_finite_error_is_refused_and_counts_as_not_measured(void) {
     begin(NULL);
-    TEST_ASSERT_EQUAL(LAW_OK, learner_measure(&learner, 0, 0.5f));
-    TEST_ASSERT_EQUAL(LAW_OK, learner_measure(&learner, 1, 0.5f));
-    TEST_ASSERT_EQUAL(LAW_BAD_INPUT, learner_measure(&learner, 1, (float)NAN));
-    TEST_ASSERT_EQUAL(LAW_BAD_INPUT, learner_measure(&learner, 2, (float)INFINITY));
-    TEST_ASSERT_EQUAL(LAW_OK, learner_end(&learner, SAMPLES, &report));
+    TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_measure(&learner, 0, 0.5f));
+    TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_measure(&learner, 1, 0.5f));
+    TEST_ASSERT_EQUAL(LAW_BAD_INPUT, buffer_learner_measure(&learner, 1, (float)NAN));
+    TEST_ASSERT_EQUAL(LAW_BAD_INPUT, buffer_learner_measure(&learner, 2, (float)INFINITY));
+    TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_end(&learner, SAMPLES, &report));
     check((float[]){0.5f, 0.0f, 0.0f});
     TEST_ASSERT_EQUAL(1, report.measured_beats);
 }
 
-/* A collision is known only afterwards: the samples before it lose their validity in learner_end.
+/* A collision is known only afterwards: the samples before it lose their validity in buffer_learner_end.
  */
 static void test_valid_masks_what_was_measured_before(void) {
     use_window(2, LEARNER_HISTORY_ZERO);
@@ -241,23 +241,23 @@ static void test_errors_too_large_leave_everything_as_it_was(void) {
     swim((float[]){0.2f, 0.2f, 0.2f}, SAMPLES);
     check((float[]){0.2f, 0.2f, 0.2f});
     const law_report_t before = report;
-    TEST_ASSERT_EQUAL(LAW_OK, learner_measure(&learner, 0, 1e25f));
-    TEST_ASSERT_EQUAL(LAW_OK, learner_measure(&learner, 1, 0.4f));
-    TEST_ASSERT_EQUAL(LAW_BAD_INPUT, learner_end(&learner, SAMPLES, &report));
+    TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_measure(&learner, 0, 1e25f));
+    TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_measure(&learner, 1, 0.4f));
+    TEST_ASSERT_EQUAL(LAW_BAD_INPUT, buffer_learner_end(&learner, SAMPLES, &report));
     TEST_ASSERT_EQUAL_MEMORY(&before, &report, sizeof report);
     TEST_ASSERT_EQUAL(1, learner.trials);
     check((float[]){0.2f, 0.2f, 0.2f});
-    TEST_ASSERT_EQUAL(LAW_OK, learner_end(&learner, SAMPLES, &report));
+    TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_end(&learner, SAMPLES, &report));
     check((float[]){0.3f, 0.3f, 0.3f}); /* (.2 + .2)/2 + .5 * .2: the refused trial left no error */
 }
 
 static void test_configs_that_do_not_hold_together(void) {
-    const learner_config_t good = config;
+    const buffer_learner_config_t good = config;
 #define REFUSED(change)                                                                            \
     config = good;                                                                                 \
     change;                                                                                        \
-    TEST_ASSERT_EQUAL_MESSAGE(0, learner_bytes(&config), #change);                                 \
-    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, learner_init(&learner, &config, NULL, memory, MEMORY_BYTES))
+    TEST_ASSERT_EQUAL_MESSAGE(0, buffer_learner_bytes(&config), #change);                                 \
+    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, buffer_learner_init(&learner, &config, NULL, memory, MEMORY_BYTES))
     REFUSED(config.samples = 0);
     REFUSED(config.law.lead_beats = 3);
     REFUSED(config.law.q_len = 0);
@@ -268,7 +268,7 @@ static void test_configs_that_do_not_hold_together(void) {
     REFUSED(config.past = PAST_MEAN; config.law.kd_rad_s2_m = 1.0f);
     REFUSED(use_window(0, LEARNER_HISTORY_ZERO));
     REFUSED(use_window(LEARNER_WINDOW_MAX + 1u, LEARNER_HISTORY_ZERO));
-    REFUSED(use_window(1, (learner_history_t)3));
+    REFUSED(use_window(1, (buffer_learner_history_t)3));
     REFUSED(use_window(2, LEARNER_HISTORY_ZERO); config.weight[1].input = (float)INFINITY);
     REFUSED(use_window(2, LEARNER_HISTORY_ZERO); config.weight[1].kp = (float)NAN);
     REFUSED(use_window(2, LEARNER_HISTORY_ZERO); config.weight[0].kd = (float)NAN);
@@ -281,14 +281,14 @@ static void test_configs_that_do_not_hold_together(void) {
 static void test_weights_beyond_the_window_do_not_matter(void) {
     use_window(2, LEARNER_HISTORY_ZERO);
     config.weight[2].input = (float)NAN;
-    TEST_ASSERT_TRUE(learner_bytes(&config) > 0);
+    TEST_ASSERT_TRUE(buffer_learner_bytes(&config) > 0);
 }
 
 static void test_first_inputs_that_are_not_finite_are_refused(void) {
     float first[] = {0.0f, 0.0f, (float)NAN};
-    TEST_ASSERT_EQUAL(LAW_BAD_INPUT, learner_init(&learner, &config, first, memory, MEMORY_BYTES));
+    TEST_ASSERT_EQUAL(LAW_BAD_INPUT, buffer_learner_init(&learner, &config, first, memory, MEMORY_BYTES));
     first[2] = 1e31f;
-    TEST_ASSERT_EQUAL(LAW_BAD_INPUT, learner_init(&learner, &config, first, memory, MEMORY_BYTES));
+    TEST_ASSERT_EQUAL(LAW_BAD_INPUT, buffer_learner_init(&learner, &config, first, memory, MEMORY_BYTES));
 }
 
 /* As many numbers per sample as the header says, and a byte for each trial kept. */
@@ -302,20 +302,20 @@ static size_t bytes_by_hand(void) {
 static void swim_some(void) {
     for (uint32_t i = 0; i < 20u; i++) {
         for (uint16_t k = 0; k < config.samples; k++) {
-            (void)learner_measure(&learner, k, 0.01f * (float)((i * 7u + k * 3u) % 11u) - 0.05f);
+            (void)buffer_learner_measure(&learner, k, 0.01f * (float)((i * 7u + k * 3u) % 11u) - 0.05f);
         }
         const uint16_t valid = (uint16_t)((i * 5u) % (config.samples + 1u));
-        TEST_ASSERT_EQUAL(LAW_OK, learner_end(&learner, valid, &report));
+        TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_end(&learner, valid, &report));
     }
 }
 
 static void check_bytes(void) {
-    const size_t bytes = learner_bytes(&config);
+    const size_t bytes = buffer_learner_bytes(&config);
     TEST_ASSERT_EQUAL(bytes_by_hand(), bytes);
     memset(memory, GUARD, sizeof memory);
-    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, learner_init(&learner, &config, NULL, memory, bytes - 1u));
+    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, buffer_learner_init(&learner, &config, NULL, memory, bytes - 1u));
     TEST_ASSERT_EACH_EQUAL_HEX8(GUARD, memory, bytes + GUARD_BYTES);
-    TEST_ASSERT_EQUAL(LAW_OK, learner_init(&learner, &config, NULL, memory, bytes));
+    TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_init(&learner, &config, NULL, memory, bytes));
     swim_some();
     TEST_ASSERT_EACH_EQUAL_HEX8(GUARD, memory + bytes, GUARD_BYTES);
 }
@@ -330,7 +330,7 @@ static void test_the_buffer_is_used_to_its_end_and_not_beyond(void) {
         for (uint16_t window = 1; window <= LEARNER_WINDOW_MAX; window++) {
             weigh_evenly(window);
             for (uint32_t history = 0; history <= LEARNER_HISTORY_NONE; history++) {
-                use_window(window, (learner_history_t)history);
+                use_window(window, (buffer_learner_history_t)history);
                 check_bytes();
             }
         }
@@ -353,11 +353,11 @@ static uint16_t swim_until(float threshold) {
     float x[3] = {0.0f, 0.0f, 0.0f};
     for (uint16_t t = 0; t < PLANT_SAMPLES; t++) {
         const float error = wanted(t) - x[2];
-        (void)learner_measure(&learner, t, error);
+        (void)buffer_learner_measure(&learner, t, error);
         if (error > threshold || error < -threshold) {
             return (uint16_t)(t + 1u);
         }
-        advance(x, learner_output(&learner, t));
+        advance(x, buffer_learner_output(&learner, t));
     }
     return 0;
 }
@@ -371,7 +371,7 @@ static uint32_t trials_needed(float threshold, bool learns_from_violation) {
             return i;
         }
         const uint16_t valid = learns_from_violation ? stopped : (uint16_t)(stopped - 1u);
-        TEST_ASSERT_EQUAL(LAW_OK, learner_end(&learner, valid, &report));
+        TEST_ASSERT_EQUAL(LAW_OK, buffer_learner_end(&learner, valid, &report));
     }
     return 500u;
 }

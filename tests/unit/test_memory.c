@@ -318,7 +318,7 @@ static void test_restoring_by_hand(void) {
     TEST_ASSERT_EQUAL(3, memory.iteration);
 }
 
-/* The places of past trials are the iteration modulo 8 (app/past.c). */
+/* The places of past trials are the iteration modulo 8 (learn/past_trials.c). */
 static void test_the_iteration_goes_round_and_keeps_its_place(void) {
     first();
     memory.iteration = UINT16_MAX;

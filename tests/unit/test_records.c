@@ -12,7 +12,7 @@
 static uint8_t bytes[RECORD_TRIAL_MAX_BYTES + 1u];
 static reference_t reference;
 static memory_t memory;
-static trial_t trial;
+static trial_record_t trial;
 static speed_upload_t speeds;
 static amplitudes_upload_t amplitudes;
 static params_t params;
@@ -23,7 +23,7 @@ static past_t past;
 typedef union {
     reference_t reference;
     memory_t memory;
-    trial_t trial;
+    trial_record_t trial;
     speed_upload_t speeds;
     amplitudes_upload_t amplitudes;
     params_t params;
@@ -47,7 +47,7 @@ static void fill(uint16_t beats) {
                         .worse_streak = 1,
                         .input = MEMORY_INPUT_UPLOADED,
                         .best_max_abs_error_m_s = 0.0125f};
-    trial = (trial_t){.number = 70001u,
+    trial = (trial_record_t){.number = 70001u,
                       .reference_crc = 0x9ABCDEF0u,
                       .iteration = 7,
                       .beats = beats,

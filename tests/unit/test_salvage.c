@@ -10,7 +10,7 @@
 #define SPEED 0.05f
 #define MAGIC_BYTES 4u
 
-static uint8_t record[RECORD_TRIAL_MAX_BYTES], whole[HAL_FLASH_SIZE_BYTES];
+static uint8_t record[RECORD_TRIAL_MAX_BYTES], whole[MOCK_FLASH_BYTES];
 static memory_t learned;
 
 void setUp(void) { fixture_reset(); }
@@ -26,11 +26,11 @@ static void live(void) {
             TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, trial));
         }
     }
-    learned = app.memory;
+    learned = app.learner.memory;
 }
 
 static void wipe_block(uint32_t block, uint8_t with) {
-    memset(hal.flash + block * STORE_BLOCK_BYTES, with, STORE_BLOCK_BYTES);
+    memset(hal.flash + block * BLOCK_BYTES, with, BLOCK_BYTES);
 }
 
 static void wipe_superblocks(uint8_t with) {
@@ -40,10 +40,10 @@ static void wipe_superblocks(uint8_t with) {
 
 static void wipe_folder(const char *path) {
     lfs_dir_t dir;
-    TEST_ASSERT_EQUAL_INT(0, lfs_dir_open(&app.store.lfs, &dir, path));
+    TEST_ASSERT_EQUAL_INT(0, lfs_dir_open(&app.vault.store.lfs, &dir, path));
     wipe_block(dir.m.pair[0], 0xA5);
     wipe_block(dir.m.pair[1], 0xA5);
-    (void)lfs_dir_close(&app.store.lfs, &dir);
+    (void)lfs_dir_close(&app.vault.store.lfs, &dir);
 }
 
 static bool said(const char *text) {
@@ -57,13 +57,13 @@ static bool said(const char *text) {
 }
 
 static void expect_all_back(void) {
-    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
-    TEST_ASSERT_EQUAL_HEX32(learned.reference_crc, app.reference.crc);
+    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.learner.memory, sizeof learned);
+    TEST_ASSERT_EQUAL_HEX32(learned.reference_crc, app.learner.reference.crc);
     TEST_ASSERT_EQUAL_FLOAT(3.0f, app.params.value[PARAM_ILC_GAIN]);
-    TEST_ASSERT_TRUE(app.run.pending);
-    TEST_ASSERT_EQUAL_UINT32(3, app.run.trial.number);
-    TEST_ASSERT_EQUAL_UINT32(4, app.next_trial);
-    TEST_ASSERT_EQUAL_INT32(0, ledger_lost_blocks(&app.store));
+    TEST_ASSERT_TRUE(app.trial.run.pending);
+    TEST_ASSERT_EQUAL_UINT32(3, app.trial.run.trial.number);
+    TEST_ASSERT_EQUAL_UINT32(4, app.trial.next);
+    TEST_ASSERT_EQUAL_INT32(0, ledger_lost_blocks(&app.vault.store));
 }
 
 static void expect_renewed(void) {
@@ -82,18 +82,18 @@ static void expect_goes_on(void) {
     expect_all_back();
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 3));
     swim_whole_trial(BEATS, SPEED);
-    TEST_ASSERT_EQUAL_UINT32(4, app.run.trial.number);
+    TEST_ASSERT_EQUAL_UINT32(4, app.trial.run.trial.number);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 4));
 }
 
 static void test_blank_flash_is_no_fault(void) {
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-    TEST_ASSERT_TRUE(app.store.formatted);
+    TEST_ASSERT_TRUE(app.vault.store.formatted);
     TEST_ASSERT_FALSE(said("saved"));
     memset(hal.flash, 0x5A, sizeof hal.flash); /* of no use to anybody */
     reboot();
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-    TEST_ASSERT_EQUAL_UINT32(1, app.next_trial);
+    TEST_ASSERT_EQUAL_UINT32(1, app.trial.next);
 }
 
 static void test_lost_superblocks_cost_the_trials_only(void) {
@@ -118,13 +118,13 @@ static void test_one_lost_superblock_costs_nothing(void) {
         /* Both blocks know all: the last change of the root folder compacted it. */
         for (uint32_t i = 0; i < 2; i++) {
             TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
-            TEST_ASSERT_EQUAL_INT(0, lfs_fs_gc(&app.store.lfs));
+            TEST_ASSERT_EQUAL_INT(0, lfs_fs_gc(&app.vault.store.lfs));
         }
         wipe_block(block, 0xA5);
         reboot();
         TEST_ASSERT_NOT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
-        TEST_ASSERT_FALSE(app.store.formatted);
-        TEST_ASSERT_EQUAL_HEX32(learned.reference_crc, app.reference.crc);
+        TEST_ASSERT_FALSE(app.vault.store.formatted);
+        TEST_ASSERT_EQUAL_HEX32(learned.reference_crc, app.learner.reference.crc);
     }
 }
 
@@ -145,15 +145,16 @@ static void test_an_unreadable_folder_costs_the_trials_only(void) {
 /* Flips a bit in the newest copy of what |path| holds. */
 static void damage_file(const char *path) {
     uint32_t length = 0;
-    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, path, &length));
-    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.store, path, record, length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.vault.store, path, &length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.vault.store, path, record, length));
     lfs_file_t file;
     static uint8_t cache[STORE_CACHE_BYTES];
     const struct lfs_file_config config = {.buffer = cache};
-    TEST_ASSERT_EQUAL_INT(0, lfs_file_opencfg(&app.store.lfs, &file, path, LFS_O_RDONLY, &config));
+    TEST_ASSERT_EQUAL_INT(
+        0, lfs_file_opencfg(&app.vault.store.lfs, &file, path, LFS_O_RDONLY, &config));
     const uint32_t head = file.ctz.head;
-    (void)lfs_file_close(&app.store.lfs, &file);
-    hal.flash[head * STORE_BLOCK_BYTES + length / 2u] ^= 0x10u;
+    (void)lfs_file_close(&app.vault.store.lfs, &file);
+    hal.flash[head * BLOCK_BYTES + length / 2u] ^= 0x10u;
 }
 
 static void test_a_damaged_file_costs_itself_only(void) {
@@ -163,10 +164,10 @@ static void test_a_damaged_file_costs_itself_only(void) {
     reboot();
     TEST_ASSERT_EQUAL(FAULT_FILE_DAMAGED, app.supervisor.reason);
     TEST_ASSERT_TRUE(said("older /learned.bin"));
-    TEST_ASSERT_EQUAL_UINT32(1, app.memory.last_trial); /* the version before */
-    TEST_ASSERT_TRUE(app.run.pending);
+    TEST_ASSERT_EQUAL_UINT32(1, app.learner.memory.last_trial); /* the version before */
+    TEST_ASSERT_TRUE(app.trial.run.pending);
     uint32_t size = 0;
-    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, "/trials/0001.ulg", &size));
+    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.vault.store, "/trials/0001.ulg", &size));
     reboot();
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
 
@@ -178,7 +179,7 @@ static void test_a_damaged_file_costs_itself_only(void) {
     TEST_ASSERT_EQUAL(FAULT_FILE_DAMAGED, app.supervisor.reason);
     TEST_ASSERT_TRUE(said("older /params.bin")); /* the defaults, with the limits */
     TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_ILC_GAIN]);
-    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
+    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.learner.memory, sizeof learned);
 }
 
 /* A sound record of amplitudes that arming would refuse to guess again. */
@@ -188,7 +189,7 @@ static void test_learned_input_that_contradicts_itself_is_damaged(void) {
     wrong.input = MEMORY_INPUT_FIRST;
     TEST_ASSERT_EQUAL_UINT16(3, wrong.iteration);
     const size_t length = record_encode_memory(&wrong, record);
-    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, LEARNED_PATH, record, length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, LEARNED_PATH, record, length));
     reboot();
     TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
     TEST_ASSERT_EQUAL(FAULT_FILE_DAMAGED, app.supervisor.reason);
@@ -198,8 +199,7 @@ static void test_learned_input_that_contradicts_itself_is_damaged(void) {
 }
 
 static void wipe_witness(void) {
-    memset(hal.flash + STORE_DATA_BLOCKS * STORE_BLOCK_BYTES, 0xFF,
-           STORE_RAW_BLOCKS * STORE_BLOCK_BYTES);
+    memset(hal.flash + DATA_BLOCKS * BLOCK_BYTES, 0xFF, STORE_RAW_BLOCKS * BLOCK_BYTES);
 }
 
 /* The witness names the newest of several copies. Without it only equal ones count. */
@@ -220,7 +220,7 @@ static void test_parameters_come_back_only_when_there_is_no_doubt(void) {
         TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
         TEST_ASSERT_TRUE(said(witnessed == 1 ? "saved /params.bin" : "lost /params.bin"));
         TEST_ASSERT_EQUAL_FLOAT(witnessed == 1 ? 2.0f : 4.0f, app.params.value[PARAM_ILC_GAIN]);
-        TEST_ASSERT_EQUAL_UINT32(3, app.memory.last_trial);
+        TEST_ASSERT_EQUAL_UINT32(3, app.learner.memory.last_trial);
     }
 }
 
@@ -228,75 +228,75 @@ static void test_the_newest_reference_comes_back_with_what_was_learned_for_it(vo
     swim_whole_trial(BEATS, SPEED);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS + 1u, SPEED));
-    const uint32_t crc = app.reference.crc;
+    const uint32_t crc = app.learner.reference.crc;
     wipe_superblocks(0xFF);
     reboot();
-    TEST_ASSERT_EQUAL_HEX32(crc, app.reference.crc);
-    TEST_ASSERT_EQUAL_UINT16(0, app.memory.iteration);
-    TEST_ASSERT_EQUAL_UINT32(1, app.memory.last_trial);
-    TEST_ASSERT_FALSE(app.run.pending);
+    TEST_ASSERT_EQUAL_HEX32(crc, app.learner.reference.crc);
+    TEST_ASSERT_EQUAL_UINT16(0, app.learner.memory.iteration);
+    TEST_ASSERT_EQUAL_UINT32(1, app.learner.memory.last_trial);
+    TEST_ASSERT_FALSE(app.trial.run.pending);
 }
 
 static void test_numbers_go_on_when_only_the_trials_tell_them(void) {
     swim_whole_trial(BEATS, SPEED);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, 1));
-    for (uint32_t at = 0; at < sizeof hal.flash; at += STORE_BLOCK_BYTES) {
+    for (uint32_t at = 0; at < sizeof hal.flash; at += BLOCK_BYTES) {
         if (memcmp(hal.flash + at, "TB", 2) == 0) {
-            memset(hal.flash + at, 0xFF, STORE_BLOCK_BYTES);
+            memset(hal.flash + at, 0xFF, BLOCK_BYTES);
         }
     }
     wipe_superblocks(0xFF);
     reboot();
     TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
-    TEST_ASSERT_EQUAL_UINT32(2, app.next_trial);
+    TEST_ASSERT_EQUAL_UINT32(2, app.trial.next);
 }
 
 /* Records longer than a block, among older ones that share some of their blocks' numbers. */
 static void test_long_records_come_back(void) {
     static memory_t memory;
-    static trial_t trial;
+    static trial_record_t trial;
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_TANK_LEN_M, 0.0f));
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS_MAX, SPEED));
     for (uint32_t n = 1; n <= 40; n++) {
-        memory = (memory_t){.reference_crc = app.reference.crc,
+        memory = (memory_t){.reference_crc = app.learner.reference.crc,
                             .beats = BEATS_MAX,
                             .last_trial = n,
                             .iteration = (uint16_t)(n + 1u)};
-        trial = (trial_t){.number = n + 1u,
-                          .reference_crc = app.reference.crc,
-                          .beats = BEATS_MAX,
-                          .executed = BEATS_MAX};
+        trial = (trial_record_t){.number = n + 1u,
+                                 .reference_crc = app.learner.reference.crc,
+                                 .beats = BEATS_MAX,
+                                 .executed = BEATS_MAX};
         for (uint32_t k = 0; k < BEATS_MAX; k++) {
             memory.amplitude_rad[k] = 0.001f * (float)(k * n % 301u);
             trial.amplitude_rad[k] = memory.amplitude_rad[k];
         }
         size_t length = record_encode_memory(&memory, record);
-        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, LEARNED_PATH, record, length));
+        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, LEARNED_PATH, record, length));
         length = record_encode_trial(&trial, record);
-        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, PENDING_PATH, record, length));
+        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, PENDING_PATH, record, length));
     }
-    const uint32_t crc = app.reference.crc;
+    const uint32_t crc = app.learner.reference.crc;
     wipe_superblocks(0x00);
     reboot();
     TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
-    TEST_ASSERT_EQUAL_HEX32(crc, app.reference.crc);
-    TEST_ASSERT_EQUAL_MEMORY(&memory, &app.memory, sizeof memory);
-    TEST_ASSERT_EQUAL_MEMORY(&trial, &app.run.trial, sizeof trial);
-    TEST_ASSERT_EQUAL_UINT32(42, app.next_trial);
+    TEST_ASSERT_EQUAL_HEX32(crc, app.learner.reference.crc);
+    TEST_ASSERT_EQUAL_MEMORY(&memory, &app.learner.memory, sizeof memory);
+    TEST_ASSERT_EQUAL_MEMORY(&trial, &app.trial.run.trial, sizeof trial);
+    TEST_ASSERT_EQUAL_UINT32(42, app.trial.next);
 }
 
 static void store_key(bool set, uint8_t fill, uint64_t mark) {
     key_record_t key = {.set = set, .mark = mark};
     memset(key.key, set ? fill : 0, sizeof key.key);
-    TEST_ASSERT_EQUAL(STORE_OK,
-                      store_replace(&app.store, KEY_PATH, record, record_encode_key(&key, record)));
+    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, KEY_PATH, record,
+                                              record_encode_key(&key, record)));
 }
 
 static key_record_t stored_key(void) {
     key_record_t key = {0};
     uint32_t length = 0;
-    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, KEY_PATH, &length));
-    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.store, KEY_PATH, record, length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.vault.store, KEY_PATH, &length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.vault.store, KEY_PATH, record, length));
     TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_key(record, length, &key));
     return key;
 }
@@ -317,8 +317,8 @@ static void test_the_newest_key_comes_back_and_old_messages_do_not(void) {
 static const uint8_t new_key[SIGNING_KEY_BYTES] = {1, 2, 3};
 
 static void test_an_erased_key_does_not_come_back(void) {
-    TEST_ASSERT_EQUAL(FAULT_NONE, key_set(&app, new_key, 1000));
-    TEST_ASSERT_EQUAL(FAULT_NONE, key_set(&app, NULL, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_set_key(&app, new_key, 1000));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_set_key(&app, NULL, 0));
     wipe_superblocks(0xFF);
     reboot();
     TEST_ASSERT_FALSE(stored_key().set);
@@ -330,7 +330,7 @@ static void test_an_erased_key_does_not_come_back(void) {
 static void test_a_replaced_key_does_not_come_back(void) {
     store_key(true, 1, 1000);
     reboot();
-    TEST_ASSERT_EQUAL(FAULT_NONE, key_set(&app, new_key, 2000));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_set_key(&app, new_key, 2000));
     memcpy(whole, hal.flash, sizeof whole);
     for (uint32_t i = 0; i < 4u; i++) {
         const bool witnessed = i % 2u == 0, renewed = i / 2u == 1;
@@ -380,15 +380,15 @@ static void test_a_trial_that_was_dropped_does_not_take_the_place_of_a_damaged_o
     damage_file(PENDING_PATH);
     reboot();
     TEST_ASSERT_EQUAL(FAULT_FILE_DAMAGED, app.supervisor.reason);
-    TEST_ASSERT_FALSE(app.run.pending);
-    TEST_ASSERT_EQUAL_UINT32(3, app.next_trial);
+    TEST_ASSERT_FALSE(app.trial.run.pending);
+    TEST_ASSERT_EQUAL_UINT32(3, app.trial.next);
 }
 
 static void test_a_key_that_cannot_be_saved_leaves_a_locked_board(void) {
     store_key(true, 1, 1000);
     uint8_t magic[MAGIC_BYTES];
     memcpy(magic, record, sizeof magic);
-    for (uint32_t at = 0; at < sizeof hal.flash; at += STORE_BLOCK_BYTES) {
+    for (uint32_t at = 0; at < sizeof hal.flash; at += BLOCK_BYTES) {
         if (memcmp(hal.flash + at, magic, sizeof magic) == 0) {
             hal.flash[at + 20u] ^= 1u;
         }

@@ -15,7 +15,7 @@
 #define PAGE_CYCLES 10000u /* what the chip promises */
 #define TRIALS_PER_BOOT 6u
 #define WEAK_CYCLES 60u
-#define PAGES_PER_BLOCK (STORE_BLOCK_BYTES / HAL_FLASH_PAGE_BYTES)
+#define PAGES_PER_BLOCK (BLOCK_BYTES / STORE_PAGE_BYTES)
 
 static flash_model_t model;
 
@@ -33,7 +33,7 @@ static void begin(uint32_t endurance) {
     flash_model_attach(&model, &hal, 1);
     model.endurance = endurance;
     key_record_t key = {.set = true, .mark = 1000};
-    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, KEY_PATH, upload_bytes,
+    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, KEY_PATH, upload_bytes,
                                               record_encode_key(&key, upload_bytes)));
     reboot();
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
@@ -45,7 +45,7 @@ static void swim_one(uint32_t trial) {
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, trial));
     run_ticks_ms(BEATS * 1000u + 5000u);
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-    TEST_ASSERT_EQUAL_UINT32(trial, app.run.trial.number);
+    TEST_ASSERT_EQUAL_UINT32(trial, app.trial.run.trial.number);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, trial));
     if (trial % TRIALS_PER_BOOT == 0) {
         reboot();
@@ -80,7 +80,7 @@ static void test_the_flash_wears_evenly(void) {
     for (uint32_t trial = 1; trial <= trials; trial++) {
         swim_one(trial);
     }
-    uint32_t blocks[STORE_BLOCKS] = {0};
+    uint32_t blocks[BLOCKS] = {0};
     for (uint32_t page = 0; page < FLASH_PAGES; page++) {
         uint32_t *block = &blocks[page / PAGES_PER_BLOCK];
         *block = model.page_writes[page] > *block ? model.page_writes[page] : *block;
@@ -89,17 +89,17 @@ static void test_the_flash_wears_evenly(void) {
     uint32_t log_bytes = 0;
     char path[STORE_PATH_BYTES];
     trial_log_path(trials, path);
-    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, path, &log_bytes));
+    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.vault.store, path, &log_bytes));
     printf("%u trials of %u beats, %u bytes each, %u page writes\n", (unsigned)trials,
            (unsigned)BEATS, (unsigned)log_bytes, (unsigned)model.writes);
     print_spread("page writes", pages);
-    print_spread("blocks, their busiest page", spread_of(blocks, STORE_BLOCKS));
+    print_spread("blocks, their busiest page", spread_of(blocks, BLOCKS));
     printf("first page at %u cycles after %.0f trials, half of them after %.0f\n", PAGE_CYCLES,
            (double)trials * PAGE_CYCLES / pages.max, (double)trials * PAGE_CYCLES / pages.median);
-    TEST_ASSERT_EQUAL_UINT32(0, app.store.failures);
+    TEST_ASSERT_EQUAL_UINT32(0, app.vault.store.failures);
     /* littlefs puts another pair of superblocks before a root that was rewritten often, for ever.
      */
-    const int32_t lost = ledger_lost_blocks(&app.store);
+    const int32_t lost = ledger_lost_blocks(&app.vault.store);
     TEST_ASSERT_TRUE(lost == 0 || lost <= 2 * (int32_t)(trials / 5000u));
     if (trials >= 300u) {
         TEST_ASSERT_LESS_THAN_UINT32(trials * PAGE_CYCLES / 20000u, pages.max);
@@ -113,7 +113,7 @@ static void test_dying_pages_cost_nothing_that_was_stored(void) {
     uint32_t trial = 1;
     fault_t fault = FAULT_NONE;
     for (; fault == FAULT_NONE && trial < 5000u; trial++) {
-        const memory_t before = app.memory;
+        const memory_t before = app.learner.memory;
         fault = command(LINK_COMMAND_ARM, 0);
         fault = fault == FAULT_NONE ? command(LINK_COMMAND_START, trial) : fault;
         if (fault == FAULT_NONE) {
@@ -121,10 +121,11 @@ static void test_dying_pages_cost_nothing_that_was_stored(void) {
             fault = app.supervisor.reason;
         }
         fault = fault == FAULT_NONE ? command(LINK_COMMAND_LEARN, trial) : fault;
-        const memory_t told = app.memory;
+        const memory_t told = app.learner.memory;
         reboot();
-        TEST_ASSERT_EQUAL_MEMORY(fault == FAULT_NONE ? &told : &before, &app.memory, sizeof told);
-        TEST_ASSERT_GREATER_THAN_UINT32(trial - (fault == FAULT_NONE ? 0u : 1u), app.next_trial);
+        TEST_ASSERT_EQUAL_MEMORY(fault == FAULT_NONE ? &told : &before, &app.learner.memory,
+                                 sizeof told);
+        TEST_ASSERT_GREATER_THAN_UINT32(trial - (fault == FAULT_NONE ? 0u : 1u), app.trial.next);
     }
     printf("pages that last %u to %u cycles: %u trials, then %s; %u writes failed\n", WEAK_CYCLES,
            WEAK_CYCLES * 9u / 8u, (unsigned)trial - 2u, fault_info(fault)->name,

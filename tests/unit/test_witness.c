@@ -12,42 +12,42 @@
 
 #define BEATS 5u
 #define SPEED 0.05f
-#define RAW_BEGIN (STORE_DATA_BLOCKS * STORE_BLOCK_BYTES)
+#define RAW_BEGIN (DATA_BLOCKS * BLOCK_BYTES)
 #define COPY_PAGES WITNESS_PLACES
 #define UPDATE_PAGES 4u
 #define LOG_BYTES 5000u
 #define LOGS_MAX 64u
 
-static uint8_t whole[HAL_FLASH_SIZE_BYTES], bytes[RECORD_TRIAL_MAX_BYTES];
+static uint8_t whole[MOCK_FLASH_BYTES], bytes[RECORD_TRIAL_MAX_BYTES];
 
 void setUp(void) { fixture_reset(); }
 void tearDown(void) {}
 
 static uint32_t page_at(uint32_t copy, uint32_t generation) {
     return RAW_BEGIN +
-           (UPDATE_PAGES + copy * COPY_PAGES + generation % WITNESS_PLACES) * HAL_FLASH_PAGE_BYTES;
+           (UPDATE_PAGES + copy * COPY_PAGES + generation % WITNESS_PLACES) * STORE_PAGE_BYTES;
 }
 
 static void test_the_newest_intact_version_counts(void) {
     witness_t witness = {0}, found;
-    TEST_ASSERT_FALSE(witness_find(&app.store, &found));
+    TEST_ASSERT_FALSE(witness_find(&app.vault.store, &found));
     for (uint32_t i = 1; i <= 3u * WITNESS_PLACES; i++) {
         witness.entry[2].crc = i;
         witness.note[5] = (uint8_t)i;
-        TEST_ASSERT_EQUAL(STORE_OK, witness_write(&app.store, &witness));
-        TEST_ASSERT_TRUE(witness_read(&app.store, &found));
+        TEST_ASSERT_EQUAL(STORE_OK, witness_write(&app.vault.store, &witness));
+        TEST_ASSERT_TRUE(witness_read(&app.vault.store, &found));
         TEST_ASSERT_EQUAL_MEMORY(&witness, &found, sizeof found);
     }
     const uint32_t newest = witness.generation;
     for (uint32_t copy = 0; copy < 2u; copy++) {
         hal.flash[page_at(copy, newest) + 100u] ^= 4u;
-        TEST_ASSERT_TRUE(witness_find(&app.store, &found));
+        TEST_ASSERT_TRUE(witness_find(&app.vault.store, &found));
         TEST_ASSERT_EQUAL_UINT32(copy == 0 ? newest : newest - 1u, found.generation);
     }
-    app.store.generation = 0;
-    TEST_ASSERT_TRUE(witness_find(&app.store, &found));
-    TEST_ASSERT_EQUAL_UINT32(newest - 1u, app.store.generation);
-    for (uint32_t at = 0; at < UPDATE_PAGES * HAL_FLASH_PAGE_BYTES; at++) {
+    app.vault.store.generation = 0;
+    TEST_ASSERT_TRUE(witness_find(&app.vault.store, &found));
+    TEST_ASSERT_EQUAL_UINT32(newest - 1u, app.vault.store.generation);
+    for (uint32_t at = 0; at < UPDATE_PAGES * STORE_PAGE_BYTES; at++) {
         TEST_ASSERT_EQUAL_HEX8(0xFF, hal.flash[RAW_BEGIN + at]);
     }
 }
@@ -55,18 +55,18 @@ static void test_the_newest_intact_version_counts(void) {
 /* littlefs never gets a raw block, not even as the half of a folder that is not written yet. */
 static void test_nothing_in_littlefs_points_to_the_raw_blocks(void) {
     swim_whole_trial(BEATS, SPEED);
-    static uint8_t piece[STORE_BLOCK_BYTES];
+    static uint8_t piece[BLOCK_BYTES];
     char path[] = "/in/a";
     store_result_t result = STORE_OK;
     for (; result == STORE_OK; path[4]++) {
         for (uint32_t i = 0; i < 4u; i++) {
             memset(piece, (int)i, sizeof piece);
-            result = store_replace(&app.store, path, piece, sizeof piece);
+            result = store_replace(&app.vault.store, path, piece, sizeof piece);
         }
     }
     TEST_ASSERT_EQUAL(STORE_NO_SPACE, result);
     reboot();
-    TEST_ASSERT_EQUAL_HEX8(0, app.store.raw_taken);
+    TEST_ASSERT_EQUAL_HEX8(0, app.vault.store.raw_taken);
 }
 
 /* ---- a store of an earlier firmware: no generations, and files up to the last block ---- */
@@ -74,14 +74,14 @@ static void test_nothing_in_littlefs_points_to_the_raw_blocks(void) {
 static int old_read(const struct lfs_config *config, lfs_block_t block, lfs_off_t offset, void *out,
                     lfs_size_t length) {
     (void)config;
-    memcpy(out, hal.flash + block * STORE_BLOCK_BYTES + offset, length);
+    memcpy(out, hal.flash + block * BLOCK_BYTES + offset, length);
     return 0;
 }
 
 static int old_program(const struct lfs_config *config, lfs_block_t block, lfs_off_t offset,
                        const void *from, lfs_size_t length) {
     (void)config;
-    memcpy(hal.flash + block * STORE_BLOCK_BYTES + offset, from, length);
+    memcpy(hal.flash + block * BLOCK_BYTES + offset, from, length);
     return 0;
 }
 
@@ -102,9 +102,9 @@ static const struct lfs_config old_config = {.read = old_read,
                                              .erase = old_erase,
                                              .sync = old_nothing,
                                              .read_size = 16,
-                                             .prog_size = HAL_FLASH_PAGE_BYTES,
-                                             .block_size = STORE_BLOCK_BYTES,
-                                             .block_count = STORE_BLOCKS,
+                                             .prog_size = STORE_PAGE_BYTES,
+                                             .block_size = BLOCK_BYTES,
+                                             .block_count = BLOCKS,
                                              .block_cycles = 20,
                                              .cache_size = STORE_CACHE_BYTES,
                                              .lookahead_size = STORE_LOOKAHEAD_BYTES,
@@ -140,7 +140,7 @@ static uint32_t old_logs;
 static void make_old_store(uint32_t logs) {
     static reference_t reference = {.beats = BEATS, .beat_s = 1.0f};
     static memory_t memory = {.beats = BEATS, .iteration = 3, .last_trial = 7};
-    static trial_t trial = {.number = 8, .iteration = 3, .beats = BEATS, .executed = BEATS};
+    static trial_record_t trial = {.number = 8, .iteration = 3, .beats = BEATS, .executed = BEATS};
     static uint8_t content[LOG_BYTES];
     params_t params;
     const key_record_t key = {.set = true, .key = {5, 6, 7}, .mark = 1000};
@@ -177,37 +177,38 @@ static void make_old_store(uint32_t logs) {
 static void expect_old_content(void) {
     static uint8_t content[LOG_BYTES], found[LOG_BYTES];
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-    TEST_ASSERT_EQUAL_UINT16(3, app.memory.iteration);
-    TEST_ASSERT_EQUAL_FLOAT(0.4f, app.memory.amplitude_rad[4]);
-    TEST_ASSERT_EQUAL_UINT32(8, app.run.pending ? app.run.trial.number : 0u);
+    TEST_ASSERT_EQUAL_UINT16(3, app.learner.memory.iteration);
+    TEST_ASSERT_EQUAL_FLOAT(0.4f, app.learner.memory.amplitude_rad[4]);
+    TEST_ASSERT_EQUAL_UINT32(8, app.trial.run.pending ? app.trial.run.trial.number : 0u);
     TEST_ASSERT_EQUAL_FLOAT(0.7f, app.params.value[PARAM_AMP_MAX_RAD]);
     TEST_ASSERT_TRUE(app.link.signing.keyed);
     TEST_ASSERT_EQUAL_UINT8(6, app.link.signing.out.secret_key[1]);
-    TEST_ASSERT_EQUAL_UINT32(70, app.next_trial);
+    TEST_ASSERT_EQUAL_UINT32(70, app.trial.next);
     for (uint32_t number = 1; number <= old_logs; number++) {
         char path[STORE_PATH_BYTES];
         trial_log_path(number, path);
         old_log(number, content);
-        TEST_ASSERT_EQUAL_MESSAGE(STORE_OK, store_load(&app.store, path, found, LOG_BYTES), path);
+        TEST_ASSERT_EQUAL_MESSAGE(STORE_OK, store_load(&app.vault.store, path, found, LOG_BYTES),
+                                  path);
         TEST_ASSERT_EQUAL_MEMORY(content, found, LOG_BYTES);
     }
 }
 
 /* All goes on, and once the logs are gone the witness has its pages. */
 static void expect_goes_on(void) {
-    for (uint32_t number = 1; store_free_bytes(&app.store) == 0; number++) {
+    for (uint32_t number = 1; store_free_bytes(&app.vault.store) == 0; number++) {
         char path[STORE_PATH_BYTES]; /* a full one learns nothing until a trial is removed */
         trial_log_path(number, path);
-        TEST_ASSERT_EQUAL(STORE_OK, store_remove(&app.store, path));
+        TEST_ASSERT_EQUAL(STORE_OK, store_remove(&app.vault.store, path));
     }
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 8));
     for (uint32_t trial = 70; trial < 74; trial++) {
         swim_whole_trial(BEATS, SPEED);
-        TEST_ASSERT_EQUAL_UINT32(trial, app.run.trial.number);
+        TEST_ASSERT_EQUAL_UINT32(trial, app.trial.run.trial.number);
         TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, trial));
         reboot();
         TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-        TEST_ASSERT_EQUAL_UINT32(trial + 1u, app.next_trial);
+        TEST_ASSERT_EQUAL_UINT32(trial + 1u, app.trial.next);
     }
 }
 
@@ -218,9 +219,9 @@ static void test_a_store_of_an_earlier_firmware_is_taken_over(void) {
         reboot();
         expect_old_content();
         printf("%u logs: %u blocks free, raw blocks taken 0x%02X\n", (unsigned)old_logs,
-               (unsigned)(store_free_bytes(&app.store) / STORE_BLOCK_BYTES),
-               (unsigned)app.store.raw_taken);
-        TEST_ASSERT_EQUAL(logs[i] == LOGS_MAX, app.store.raw_taken != 0);
+               (unsigned)(store_free_bytes(&app.vault.store) / BLOCK_BYTES),
+               (unsigned)app.vault.store.raw_taken);
+        TEST_ASSERT_EQUAL(logs[i] == LOGS_MAX, app.vault.store.raw_taken != 0);
         reboot();
         expect_old_content();
         expect_goes_on();
@@ -248,7 +249,7 @@ static void test_a_flipped_bit_does_not_bring_back_what_was_taken_over(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
     memcpy(whole, hal.flash, sizeof whole);
     uint32_t told = 0;
-    for (uint32_t at = 0; at < 8u * STORE_BLOCK_BYTES; at += 3u) {
+    for (uint32_t at = 0; at < 8u * BLOCK_BYTES; at += 3u) {
         memcpy(hal.flash, whole, sizeof whole);
         hal.flash[at] ^= (uint8_t)(1u << at % 8u);
         hal.tx[0].head = hal.tx[0].tail = hal.tx[1].head = hal.tx[1].tail = 0;
@@ -266,7 +267,7 @@ static void test_a_firmware_without_witness_in_between_is_no_fault(void) {
     reboot();
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_AMP_MAX_RAD, 0.3f));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
-    store_unmount(&app.store);
+    store_unmount(&app.vault.store);
     TEST_ASSERT_EQUAL_INT(0, lfs_mount(&old, &old_config));
     params_t params;
     params_reset(&params);
@@ -278,38 +279,38 @@ static void test_a_firmware_without_witness_in_between_is_no_fault(void) {
         reboot();
         TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
         TEST_ASSERT_EQUAL_FLOAT(0.6f, app.params.value[PARAM_AMP_MAX_RAD]);
-        TEST_ASSERT_FALSE(app.run.pending);
+        TEST_ASSERT_FALSE(app.trial.run.pending);
     }
 }
 
 /* The power went between the witness and the removal. */
 static void test_a_removal_that_was_cut_is_completed(void) {
     swim_whole_trial(BEATS, SPEED);
-    TEST_ASSERT_EQUAL(STORE_OK, critical_drop(&app.store, CRITICAL_PENDING));
+    TEST_ASSERT_EQUAL(STORE_OK, critical_drop(&app.vault.store, CRITICAL_PENDING));
     uint32_t length = 0;
     for (uint32_t i = 0; i < 2u; i++) {
         reboot();
         TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-        TEST_ASSERT_FALSE(app.run.pending);
-        TEST_ASSERT_EQUAL(STORE_NOT_FOUND, store_size(&app.store, PENDING_PATH, &length));
+        TEST_ASSERT_FALSE(app.trial.run.pending);
+        TEST_ASSERT_EQUAL(STORE_NOT_FOUND, store_size(&app.vault.store, PENDING_PATH, &length));
     }
 }
 
 static void test_a_store_without_a_witness_is_no_fault(void) {
     swim_whole_trial(BEATS, SPEED);
-    memset(hal.flash + RAW_BEGIN, 0xFF, STORE_RAW_BLOCKS * STORE_BLOCK_BYTES);
+    memset(hal.flash + RAW_BEGIN, 0xFF, STORE_RAW_BLOCKS * BLOCK_BYTES);
     for (uint32_t i = 0; i < 2u; i++) {
         reboot();
         TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-        TEST_ASSERT_TRUE(app.run.pending);
+        TEST_ASSERT_TRUE(app.trial.run.pending);
     }
-    TEST_ASSERT_GREATER_THAN_UINT32(0, app.store.generation);
+    TEST_ASSERT_GREATER_THAN_UINT32(0, app.vault.store.generation);
 }
 
 static void lose_params(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_AMP_MAX_RAD, 0.2f));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
-    TEST_ASSERT_EQUAL(STORE_OK, store_remove(&app.store, PARAMS_PATH));
+    TEST_ASSERT_EQUAL(STORE_OK, store_remove(&app.vault.store, PARAMS_PATH));
 }
 
 static void test_the_fault_lasts_until_it_is_cleared(void) {
@@ -327,9 +328,9 @@ static void test_the_fault_lasts_until_it_is_cleared(void) {
 /* No copy of the newest parameters is left: of the limits that are known the more restrictive. */
 static void test_lost_limits_fall_back_to_the_more_restrictive(void) {
     lose_params();
-    for (uint32_t at = 0; at < RAW_BEGIN; at += STORE_BLOCK_BYTES) {
+    for (uint32_t at = 0; at < RAW_BEGIN; at += BLOCK_BYTES) {
         if (memcmp(hal.flash + at, "TBPA", 4) == 0) {
-            memset(hal.flash + at, 0, STORE_BLOCK_BYTES);
+            memset(hal.flash + at, 0, BLOCK_BYTES);
         }
     }
     reboot();
@@ -365,7 +366,7 @@ static bool dead_raw(hal_t *board, uint32_t offset, const uint8_t *page) {
     if (offset >= RAW_BEGIN) {
         return false;
     }
-    memcpy(board->flash + offset, page, HAL_FLASH_PAGE_BYTES);
+    memcpy(board->flash + offset, page, STORE_PAGE_BYTES);
     return true;
 }
 
@@ -373,10 +374,10 @@ static void test_dead_raw_pages_cost_the_witness_only(void) {
     hal.flash_write = dead_raw;
     swim_whole_trial(BEATS, SPEED);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
-    TEST_ASSERT_GREATER_THAN_UINT32(0, app.store.failures);
+    TEST_ASSERT_GREATER_THAN_UINT32(0, app.vault.store.failures);
     reboot();
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
-    TEST_ASSERT_EQUAL_UINT32(2, app.next_trial);
+    TEST_ASSERT_EQUAL_UINT32(2, app.trial.next);
 }
 
 int main(void) {

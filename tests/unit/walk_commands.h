@@ -93,10 +93,10 @@ static void trial_began(uint32_t trial) {
     CHECK(!model.flash_fails);
     const float most_rad = value_of(PARAM_AMP_MAX_RAD);
     for (uint16_t k = 0; k < model.beats; k++) {
-        const float stored_rad = app.memory.amplitude_rad[k];
+        const float stored_rad = app.learner.memory.amplitude_rad[k];
         CHECK(isfinite(stored_rad));
         model.swim.amplitude_rad[k] = fmaxf(0.0f, fminf(stored_rad, most_rad));
-        CHECK(app.run.trial.amplitude_rad[k] == model.swim.amplitude_rad[k]);
+        CHECK(app.trial.run.trial.amplitude_rad[k] == model.swim.amplitude_rad[k]);
     }
     model.last_started = trial;
     model.swum_least = model.swum_most = 0;
@@ -112,7 +112,7 @@ static void start(host_t host, uint32_t trial, double issued_us) {
         const bool young = fabs((double)hal.now_us - issued_us) <= START_AGE_MAX_US;
         guard(&guards, model.state != STATE_ARMED, FAULT_WRONG_STATE);
         guard(&guards, !is_armer(host), FAULT_OTHER_HOST);
-        guard(&guards, trial != app.next_trial, FAULT_TRIAL_NUMBER);
+        guard(&guards, trial != app.trial.next, FAULT_TRIAL_NUMBER);
         guard(&guards, !young, FAULT_STALE_COMMAND);
         guard(&guards, value_of(PARAM_SPD_SOURCE) > 1.5f, FAULT_NO_IMU);
         guard(&guards, battery_too_low(), FAULT_BATTERY_LOW);
@@ -130,12 +130,12 @@ static void start(host_t host, uint32_t trial, double issued_us) {
     compare_state();
 }
 
-static void start_right(void) { start(model.armer, app.next_trial, (double)hal.now_us); }
+static void start_right(void) { start(model.armer, app.trial.next, (double)hal.now_us); }
 
 static void start_wrong(void) {
     const double off_s[] = {0.0, 1.9, -1.9, 2.1, -2.1, 1e6, (double)NAN};
     const uint32_t trial[] = {
-        app.next_trial, app.next_trial, app.next_trial - 1u, app.next_trial + 1u, 0, draw(100)};
+        app.trial.next, app.trial.next, app.trial.next - 1u, app.trial.next + 1u, 0, draw(100)};
     start(any_host(), trial[draw(6)], (double)hal.now_us + 1e6 * off_s[draw(7)]);
 }
 
@@ -156,7 +156,7 @@ static void abort_trial(void) { stop_by(LINK_COMMAND_ABORT, chance(3)); }
 static void disarm_board(void) { stop_by(LINK_COMMAND_DISARM, false); }
 
 static void clear_halt(void) {
-    const bool was_open = app.run.open, halted = is_halted(model.state);
+    const bool was_open = app.trial.run.open, halted = is_halted(model.state);
     guards_t guards = {0};
     guard(&guards, !halted && model.state != STATE_IDLE, FAULT_WRONG_STATE);
     const fault_t answer = send(any_host(), (link_command_t){.id = LINK_COMMAND_CLEAR});
@@ -170,7 +170,7 @@ static void clear_halt(void) {
 
 /* Stored amplitudes: finite, and no beat is asked for more of a step than DU_MAX_RAD. */
 static void check_step(const memory_t *old) {
-    const memory_t *now = &app.memory;
+    const memory_t *now = &app.learner.memory;
     const float most_rad = value_of(PARAM_AMP_MAX_RAD), step_rad = value_of(PARAM_DU_MAX_RAD);
     const size_t bytes = now->beats * sizeof(float);
     const bool is_best = memcmp(now->amplitude_rad, now->best_rad, bytes) == 0;
@@ -184,8 +184,8 @@ static void check_step(const memory_t *old) {
 
 static void learn(void) {
     static memory_t old;
-    old = app.memory;
-    const uint32_t number = app.run.trial.number;
+    old = app.learner.memory;
+    const uint32_t number = app.trial.run.trial.number;
     const uint32_t trial = chance(8) ? draw(20) : number;
     const bool waits = model.pending && trial == number;
     const bool learned = trial != 0 && trial == old.last_trial;
@@ -205,31 +205,31 @@ static void learn(void) {
         model.pending = false;
         check_step(&old);
     } else {
-        CHECK(model.flash_hurt || memcmp(&old, &app.memory, sizeof old) == 0);
+        CHECK(model.flash_hurt || memcmp(&old, &app.learner.memory, sizeof old) == 0);
     }
-    model.pending = model.flash_hurt ? app.run.pending : model.pending;
+    model.pending = model.flash_hurt ? app.trial.run.pending : model.pending;
     compare_state();
-    compare_run(app.run.open);
+    compare_run(app.trial.run.open);
 }
 
 static void discard(void) {
-    const uint32_t trial = chance(8) ? draw(20) : app.run.trial.number;
+    const uint32_t trial = chance(8) ? draw(20) : app.trial.run.trial.number;
     guards_t guards = {0};
     guard(&guards, model.state != STATE_IDLE, FAULT_WRONG_STATE);
-    guard(&guards, !model.pending || trial != app.run.trial.number, FAULT_NO_TRIAL);
+    guard(&guards, !model.pending || trial != app.trial.run.trial.number, FAULT_NO_TRIAL);
     const fault_t answer =
         send(any_host(), (link_command_t){.id = LINK_COMMAND_DISCARD, .trial = trial});
     judge(&guards, answer);
     model.pending = model.pending && answer != FAULT_NONE;
     compare_state();
-    compare_run(app.run.open);
+    compare_run(app.trial.run.open);
 }
 
 static void restore_best(void) {
     guards_t guards = {0};
     guard(&guards, model.state != STATE_IDLE, FAULT_WRONG_STATE);
     guard(&guards, model.pending, FAULT_TRIAL_PENDING);
-    guard(&guards, app.memory.best_iteration == 0, FAULT_NO_BEST);
+    guard(&guards, app.learner.memory.best_iteration == 0, FAULT_NO_BEST);
     judge(&guards, send(any_host(), (link_command_t){.id = LINK_COMMAND_RESTORE_BEST}));
     compare_state();
 }
@@ -243,7 +243,7 @@ static void save_imu(void) {
 }
 
 static void ask_reboot(void) {
-    const bool was_open = app.run.open, halted = is_halted(model.state);
+    const bool was_open = app.trial.run.open, halted = is_halted(model.state);
     guards_t guards = {0};
     guard(&guards, model.state != STATE_IDLE && !halted, FAULT_WRONG_STATE);
     const fault_t answer = send(any_host(), (link_command_t){.id = LINK_COMMAND_REBOOT});
@@ -323,7 +323,7 @@ static void upload(void) {
     guard(&guards, model.pending, FAULT_TRIAL_PENDING);
     const size_t length = record_encode_reference(&reference, upload_bytes);
     const char *path = "/in/reference.bin";
-    if (store_replace(&app.store, path, upload_bytes, length) != STORE_OK) {
+    if (store_replace(&app.vault.store, path, upload_bytes, length) != STORE_OK) {
         CHECK(model.flash_hurt);
         return;
     }
@@ -334,9 +334,9 @@ static void upload(void) {
                                                 .crc = crc32_update(0, upload_bytes, length),
                                             });
     judge(&guards, answer);
-    CHECK(answer == FAULT_NONE || model.flash_hurt || app.reference.beats == model.beats);
-    model.beats = app.reference.beats;
-    model.beat_s = app.reference.beat_s;
+    CHECK(answer == FAULT_NONE || model.flash_hurt || app.learner.reference.beats == model.beats);
+    model.beats = app.learner.reference.beats;
+    model.beat_s = app.learner.reference.beat_s;
     compare_state();
 }
 

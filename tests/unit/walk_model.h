@@ -111,9 +111,9 @@ static void model_enter(state_t state, fault_t reason) {
 static void compare_state(void) {
     CHECK(app.supervisor.state == model.state);
     CHECK(app.supervisor.reason == model.reason);
-    CHECK(app.next_trial >= model.next_seen);
-    CHECK(app.next_trial > model.last_started);
-    model.next_seen = app.next_trial;
+    CHECK(app.trial.next >= model.next_seen);
+    CHECK(app.trial.next > model.last_started);
+    model.next_seen = app.trial.next;
 }
 
 /* The tail. */
@@ -295,7 +295,7 @@ static void settling_pass(void) {
 static bool is_too_far_off(void) {
     const float source = value_of(PARAM_SPD_SOURCE);
     const bool tells = source < 0.5f || source > 2.5f; /* vision, model */
-    return app.supervisor.reason == FAULT_ERROR_LIMIT && tells && app.run.estimate->next > 0 &&
+    return app.supervisor.reason == FAULT_ERROR_LIMIT && tells && app.trial.run.estimate->next > 0 &&
            value_of(PARAM_ERR_MAX_M_S) > 0.0f;
 }
 
@@ -312,7 +312,7 @@ static void running_pass(void) {
 }
 
 static void compare_run(bool was_open) {
-    const trial_run_t *run = &app.run;
+    const trial_run_t *run = &app.trial.run;
     if (was_open && !run->open) {
         CHECK(run->trial.number == model.last_started);
         CHECK(run->trial.executed >= model.swum_least && run->trial.executed <= model.swum_most);

@@ -115,19 +115,19 @@ static state_t state_after_boot(hal_reset_cause_t cause, bool crashed, fault_t *
 
 /* What a reset keeps: the flash. A trial that was open may have been saved as far as it went. */
 static void compare_after_boot(bool was_pending, bool was_open) {
-    CHECK(model.flash_hurt || was_open || app.run.pending == was_pending);
-    CHECK(model.flash_hurt || !was_pending || app.run.pending);
-    model.pending = app.run.pending;
-    CHECK(model.flash_hurt || model.beats == app.reference.beats);
-    model.beats = app.reference.beats;
-    model.beat_s = app.reference.beat_s;
+    CHECK(model.flash_hurt || was_open || app.trial.run.pending == was_pending);
+    CHECK(model.flash_hurt || !was_pending || app.trial.run.pending);
+    model.pending = app.trial.run.pending;
+    CHECK(model.flash_hurt || model.beats == app.learner.reference.beats);
+    model.beats = app.learner.reference.beats;
+    model.beat_s = app.learner.reference.beat_s;
     model.params = app.params;
     compare_state();
 }
 
 /* The board restarts; its pins let go of the servo meanwhile. */
 static void boot(hal_reset_cause_t cause) {
-    const bool was_pending = model.pending, was_open = app.run.open, crashed = hal.crashed;
+    const bool was_pending = model.pending, was_open = app.trial.run.open, crashed = hal.crashed;
     start_world(cause);
     app_init(&app, &hal);
     const uint16_t beats = model.beats;
@@ -168,7 +168,7 @@ static void one_pass(void) {
         world.sag_until_us = 0;
         hal.battery_mv = GOOD_MV;
     }
-    const bool was_open = app.run.open;
+    const bool was_open = app.trial.run.open;
     model_reads_tick();
     app_poll(&app);
     hal.tx[HAL_PORT_RADIO].head = hal.tx[HAL_PORT_RADIO].tail = 0;

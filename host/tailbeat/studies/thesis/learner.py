@@ -99,14 +99,14 @@ class Learner:
         ffi, lib = self._native.ffi, self._native.lib
         self.config = config
         made = ffi.new("learner_config_t *", config.native())
-        size = lib.learner_bytes(made)
+        size = lib.buffer_learner_bytes(made)
         self._memory = ffi.new("double[]", size // 8 + 1)  # aligned for either number
         self._learner = ffi.new("learner_t *")
         self._report = ffi.new("law_report_t *")
         start = ffi.NULL
         if first is not None:
             start = ffi.new(f"{precision}[]", self._samples(first, "first inputs").tolist())
-        if size == 0 or lib.learner_init(self._learner, made, start, self._memory, size):
+        if size == 0 or lib.buffer_learner_init(self._learner, made, start, self._memory, size):
             raise LearnerRefused(
                 "the law does not fit the trial.",
                 "Lead and filter must be shorter than it, every number finite.",

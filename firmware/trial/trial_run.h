@@ -2,14 +2,15 @@
  * A trial from its first frame to the pending record: speed slots, beat speeds, the log file.
  * The tail itself is the tick's (control.h). Main loop only.
  */
-#ifndef APP_TRIAL_RUN_H
-#define APP_TRIAL_RUN_H
+#ifndef TRIAL_TRIAL_RUN_H
+#define TRIAL_TRIAL_RUN_H
 
 #include "imu/imu.h"
 #include "speed/estimate.h"
 #include "speed/motion.h"
 #include "store/records.h"
 #include "store/trial_log.h"
+#include "store/vault.h"
 
 #include <stdbool.h>
 
@@ -22,13 +23,13 @@ typedef enum {
 } trial_run_stage_t;
 
 typedef struct {
-    trial_t trial;     /* number 0 = none since boot; the pending trial while |pending| */
+    trial_record_t trial;     /* number 0 = none since boot; the pending trial while |pending| */
     bool pending;      /* swum, neither learned nor discarded */
     bool open;         /* not yet pending */
     uint64_t start_us; /* board time of frame 0; 0 = the first tick has not come yet */
     speed_t speed;
     motion_t motion;
-    estimate_t *estimate;
+    estimate_t *estimate; /* NULL while no run is open */
     trial_run_stage_t stage;
     uint16_t told, measured; /* results given, of these with a speed */
     uint16_t guard_beats;    /* not to be trusted before a wall */
@@ -69,13 +70,12 @@ typedef struct {
     bool provisional; /* the trial still runs: more evidence may come */
 } trial_run_beat_t;
 
-/* |reference| and |memory| outlive the run; while a run is open or pending they do not change.
- * |estimate| is the run's while it is open. */
-void trial_run_init(trial_run_t *run, const reference_t *reference, const memory_t *memory,
-                    estimate_t *estimate);
+/* |reference| and |memory| outlive the run; while a run is open or pending they do not change. */
+void trial_run_init(trial_run_t *run, const reference_t *reference, const memory_t *memory);
 
-/* Opens the run; nothing is recorded until trial_run_started. */
-void trial_run_begin(trial_run_t *run, const trial_run_plan_t *plan);
+/* Opens the run; nothing is recorded until trial_run_started. |estimate| is the run's until
+ * trial_run_finish. */
+void trial_run_begin(trial_run_t *run, const trial_run_plan_t *plan, estimate_t *estimate);
 
 /* The tick has swum frame 0 at |start_us|: motion is summed up from here, the log begins. |header|
  * lacks only what the run knows. */
@@ -109,18 +109,17 @@ bool trial_run_end(trial_run_t *run, uint64_t now_us, fault_t end, uint16_t exec
 
 /* Closes the run, which has ended. Makes the trial pending if at least one beat was swum, and
  * stores it. */
-store_result_t trial_run_finish(trial_run_t *run, store_t *store, uint8_t *record);
+store_result_t trial_run_finish(trial_run_t *run, vault_t *vault);
 
 /* Speeds uploaded after the swim: into the pending trial, its file and the store. Beats that are
  * not to be trusted stay unmeasured; |guard_beats| are those of now. */
-store_result_t trial_run_upload(trial_run_t *run, store_t *store, const speed_upload_t *speeds,
-                                uint16_t guard_beats, uint64_t now_us, uint8_t *record);
+store_result_t trial_run_upload(trial_run_t *run, vault_t *vault, const speed_upload_t *speeds,
+                                uint16_t guard_beats, uint64_t now_us);
 
-/* Learned or discarded: nothing is pending any more. */
-store_result_t trial_run_forget(trial_run_t *run, store_t *store);
+/* Discarded: nothing is pending any more. */
+store_result_t trial_run_forget(trial_run_t *run, vault_t *vault);
 
-/* The pending trial of an earlier boot, if there is one. |record| as everywhere here:
- * RECORD_TRIAL_MAX_BYTES of working space. */
-void trial_run_load(trial_run_t *run, store_t *store, uint8_t *record);
+/* The pending trial of an earlier boot, if there is one. */
+void trial_run_load(trial_run_t *run, vault_t *vault);
 
 #endif

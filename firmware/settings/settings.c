@@ -1,4 +1,4 @@
-#include "app/settings.h"
+#include "settings/settings.h"
 
 /* The tick is crystal-driven: a gap of a quarter frame beyond the period can only be a stall. */
 #define TICK_LATE_US (FRAME_US + FRAME_US / 4u)

@@ -1,8 +1,7 @@
-#include "app/trial_run.h"
+#include "trial/trial_run.h"
 
 #include "base/panic.h"
 #include "base/real.h"
-#include "store/critical.h"
 #include "supervisor/stop_rules.h"
 
 #include <math.h>
@@ -13,18 +12,16 @@
  * the host's clock may be a little ahead. */
 #define EARLY_S 0.5f
 
-void trial_run_init(trial_run_t *run, const reference_t *reference, const memory_t *memory,
-                    estimate_t *estimate) {
+void trial_run_init(trial_run_t *run, const reference_t *reference, const memory_t *memory) {
     memset(run, 0, sizeof *run);
     run->reference = reference;
     run->memory = memory;
-    run->estimate = estimate;
 }
 
-void trial_run_begin(trial_run_t *run, const trial_run_plan_t *plan) {
+void trial_run_begin(trial_run_t *run, const trial_run_plan_t *plan, estimate_t *estimate) {
     REQUIRE(!run->pending && !run->open);
     const uint16_t beats = run->reference->beats;
-    trial_t *trial = &run->trial;
+    trial_record_t *trial = &run->trial;
     memset(trial, 0, sizeof *trial);
     trial->number = plan->number;
     trial->reference_crc = run->reference->crc;
@@ -38,6 +35,7 @@ void trial_run_begin(trial_run_t *run, const trial_run_plan_t *plan) {
     }
     speed_init(&run->speed);
     memset(&run->motion, 0, sizeof run->motion);
+    run->estimate = estimate;
     run->estimate->config = plan->estimate;
     run->guard_beats = plan->guard_beats;
     run->late_s = plan->late_s;
@@ -273,39 +271,35 @@ bool trial_run_end(trial_run_t *run, uint64_t now_us, fault_t end, uint16_t exec
     return true;
 }
 
-static store_result_t save_pending(const trial_run_t *run, store_t *store, uint8_t *record) {
-    return critical_replace(store, CRITICAL_PENDING, record,
-                            record_encode_trial(&run->trial, record));
-}
-
-store_result_t trial_run_finish(trial_run_t *run, store_t *store, uint8_t *record) {
+store_result_t trial_run_finish(trial_run_t *run, vault_t *vault) {
     REQUIRE(run->open && run->stage == TRIAL_RUN_ENDED);
     run->open = false;
+    run->estimate = NULL;
     const store_result_t logged = run->start_us != 0 ? trial_log_close(&run->log) : STORE_OK;
     if (run->trial.executed == 0) {
         return logged;
     }
     run->pending = true;
-    const store_result_t saved = save_pending(run, store, record);
+    const store_result_t saved = vault_save_trial(vault, &run->trial);
     return saved != STORE_OK ? saved : logged;
 }
 
-store_result_t trial_run_upload(trial_run_t *run, store_t *store, const speed_upload_t *speeds,
-                                uint16_t guard_beats, uint64_t now_us, uint8_t *record) {
+store_result_t trial_run_upload(trial_run_t *run, vault_t *vault, const speed_upload_t *speeds,
+                                uint16_t guard_beats, uint64_t now_us) {
     REQUIRE(run->pending && speeds->beats == run->trial.beats);
-    trial_t *trial = &run->trial;
+    trial_record_t *trial = &run->trial;
     const uint16_t trusted =
         stop_rules_trusted_beats((fault_t)trial->end, trial->executed, guard_beats);
     for (uint16_t k = 0; k < trial->executed; k++) {
         trial->speed_m_s[k] = k < trusted ? speeds->speed_m_s[k] : NAN;
         trial->sigma_m_s[k] = k < trusted ? speeds->sigma_m_s[k] : NAN;
     }
-    const store_result_t saved = save_pending(run, store, record);
+    const store_result_t saved = vault_save_trial(vault, trial);
     if (saved != STORE_OK) {
-        trial_run_load(run, store, record);
+        trial_run_load(run, vault);
         return saved;
     }
-    if (trial_log_reopen(&run->log, store, trial->number) != STORE_OK) {
+    if (trial_log_reopen(&run->log, &vault->store, trial->number) != STORE_OK) {
         return saved;
     }
     for (uint16_t k = 0; k < trial->executed; k++) {
@@ -325,24 +319,12 @@ store_result_t trial_run_upload(trial_run_t *run, store_t *store, const speed_up
     return trial_log_close(&run->log);
 }
 
-store_result_t trial_run_forget(trial_run_t *run, store_t *store) {
-    const store_result_t dropped = critical_drop(store, CRITICAL_PENDING);
-    if (dropped == STORE_IO) {
-        return dropped;
-    }
-    const store_result_t removed = store_remove(store, PENDING_PATH);
-    if (removed == STORE_OK || removed == STORE_NOT_FOUND) {
-        run->pending = false;
-        return STORE_OK;
-    }
-    return removed;
+store_result_t trial_run_forget(trial_run_t *run, vault_t *vault) {
+    const store_result_t dropped = vault_drop_trial(vault);
+    run->pending = run->pending && dropped != STORE_OK;
+    return dropped;
 }
 
-void trial_run_load(trial_run_t *run, store_t *store, uint8_t *record) {
-    uint32_t length = 0;
-    if (store_size(store, PENDING_PATH, &length) != STORE_OK || length > RECORD_TRIAL_MAX_BYTES ||
-        store_load(store, PENDING_PATH, record, length) != STORE_OK) {
-        return;
-    }
-    run->pending = record_decode_trial(record, length, &run->trial) == FAULT_NONE;
+void trial_run_load(trial_run_t *run, vault_t *vault) {
+    run->pending = vault_load_trial(vault, &run->trial);
 }

@@ -2,8 +2,8 @@
  * From parameters to the configurations of the modules. Pure; the one place where a parameter's
  * name meets a module's field.
  */
-#ifndef APP_SETTINGS_H
-#define APP_SETTINGS_H
+#ifndef SETTINGS_SETTINGS_H
+#define SETTINGS_SETTINGS_H
 
 #include "gait/gait.h"
 #include "ilc/memory.h"

@@ -6,8 +6,8 @@
  * otherwise whether the board is armed, slowly blinking as long as it was asked to (hands out of
  * the water). It changes at the begin of a frame.
  */
-#ifndef APP_CONTROL_H
-#define APP_CONTROL_H
+#ifndef TRIAL_CONTROL_H
+#define TRIAL_CONTROL_H
 
 #include "gait/gait.h"
 #include "hal/hal.h"

@@ -1,4 +1,4 @@
-#include "app/control.h"
+#include "trial/control.h"
 
 #include "base/panic.h"
 #include "base/real.h"

@@ -12,13 +12,14 @@
  * one that the newest trial belongs to. Parameters say nothing of their age: without a witness they
  * count only when all copies are equal. So does a key: one that was replaced must not come back.
  *
- * Uses app->record, app->shared, app->run.trial and app->params as scratch. Reads all blocks twice;
- * main loop, at boot only.
+ * Uses vault->record and what it has taken of the workspace. Reads all blocks twice; main loop, at
+ * boot only.
  */
-#ifndef APP_SALVAGE_FIND_H
-#define APP_SALVAGE_FIND_H
+#ifndef STORE_SALVAGE_FIND_H
+#define STORE_SALVAGE_FIND_H
 
-#include "app/app_internal.h"
+#include "store/critical.h"
+#include "store/vault.h"
 
 /* Which reference trials belong to, and how new that is. */
 typedef struct {
@@ -28,10 +29,11 @@ typedef struct {
 } salvage_origin_t;
 
 typedef struct {
+    workspace_content_t *content; /* of the record seen last */
     witness_t witness;            /* entries of 0: nothing is known */
     uint8_t best[CRITICAL_COUNT]; /* first block of the newest; 0 = none */
     bool exact[CRITICAL_COUNT];   /* that is the one which the witness names */
-    uint8_t keep[STORE_BLOCKS / 8u];
+    uint8_t keep[STORE_BLOCK_SET_BYTES];
     salvage_origin_t origin, learned;
     bool origin_fixed; /* by a file that is whole */
     bool anything;     /* there were records or trials */
@@ -44,17 +46,18 @@ typedef struct {
 } salvage_t;
 
 /* Looks at all blocks and fills in all but |witness|, |origin_fixed| and what is fixed with it. */
-void salvage_look(app_t *app, salvage_t *salvage);
+void salvage_look(vault_t *vault, salvage_t *salvage);
 
-/* The record that begins in |block|, into app->record; its length, 0 when there is none. */
-size_t salvage_gather(app_t *app, uint8_t block);
+/* The record that begins in |block|, into vault->record; its length, 0 when there is none. */
+size_t salvage_gather(vault_t *vault, uint8_t block);
 
-/* What the |length| bytes of app->record are; leaves what they say in app->shared, app->run.trial
- * or app->params. */
-critical_t salvage_kind(app_t *app, size_t length, key_record_t *key, uint32_t *counter);
+/* What the |length| bytes of vault->record are; leaves a reference, a memory or a trial in
+ * salvage->content. */
+critical_t salvage_kind(const vault_t *vault, const salvage_t *salvage, size_t length,
+                        key_record_t *key, uint32_t *counter);
 
 /* The origin of the record of |kind| (LEARNED or PENDING) that salvage_kind() has just seen. */
-salvage_origin_t salvage_origin(const app_t *app, critical_t kind);
+salvage_origin_t salvage_origin(const salvage_t *salvage, critical_t kind);
 
 /* Trial |trial| has been used. */
 void salvage_note_trial(salvage_t *salvage, uint32_t trial);

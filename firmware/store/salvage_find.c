@@ -1,4 +1,4 @@
-#include "app/salvage_find.h"
+#include "store/salvage_find.h"
 #include "base/crc.h"
 #include "hal/system.h"
 #include "store/bytes.h"
@@ -13,8 +13,9 @@
 #define CRC_BEGIN 8u /* the record's own, not part of its sum */
 #define LOG_MAGIC "ULog"
 #define LOG_TRIAL "uint32_t trial"
+#define LOG_HEADER_BYTES STORE_BLOCK_MIN_BYTES /* its trial's number is among them */
 
-/* The blocks of one record, and how far they have been read into app->record. */
+/* The blocks of one record, and how far they have been read into vault->record. */
 typedef struct {
     uint8_t block[PIECES_MAX];
     size_t begin[PIECES_MAX + 1u];
@@ -22,26 +23,29 @@ typedef struct {
     uint32_t pieces, tries;
 } chain_t;
 
-static uint32_t block_offset(uint32_t block) { return block * STORE_BLOCK_BYTES; }
+static uint32_t block_offset(const vault_t *vault, uint32_t block) {
+    return block * store_block_bytes(vault->store.hal);
+}
 
-static uint32_t first_word(app_t *app, uint32_t block) {
+static uint32_t first_word(vault_t *vault, uint32_t block) {
     uint8_t word[4] = {0};
-    (void)hal_flash_read(app->hal, block_offset(block), word, sizeof word);
+    (void)hal_flash_read(vault->store.hal, block_offset(vault, block), word, sizeof word);
     return bytes_get_u32(word);
 }
 
 static bool is_record(const uint8_t *bytes) { return bytes[0] == 'T' && bytes[1] == 'B'; }
 
 /* Reads the chain's last block behind those before it; the record's length if it ends there. */
-static size_t take_piece(app_t *app, chain_t *chain) {
+static size_t take_piece(vault_t *vault, chain_t *chain) {
     static const uint8_t pointer_bytes[PIECES_MAX] = {0, 4, 8, 4};
     const uint32_t last = chain->pieces - 1u;
     const size_t begin = chain->begin[last];
-    const size_t room = sizeof app->record - begin;
-    const size_t whole = STORE_BLOCK_BYTES - pointer_bytes[last];
+    const size_t room = sizeof vault->record - begin;
+    const size_t whole = store_block_bytes(vault->store.hal) - pointer_bytes[last];
     const size_t length = whole < room ? whole : room;
-    uint8_t *const record = app->record;
-    if (!hal_flash_read(app->hal, block_offset(chain->block[last]) + pointer_bytes[last],
+    uint8_t *const record = vault->record;
+    if (!hal_flash_read(vault->store.hal,
+                        block_offset(vault, chain->block[last]) + pointer_bytes[last],
                         record + begin, (uint32_t)length)) {
         return 0;
     }
@@ -61,57 +65,59 @@ static size_t take_piece(app_t *app, chain_t *chain) {
 }
 
 /* The next block that may follow the chain's last but one; false when there is none. */
-static bool next_candidate(app_t *app, chain_t *chain) {
+static bool next_candidate(vault_t *vault, chain_t *chain) {
     uint8_t *const last = &chain->block[chain->pieces - 1u];
-    while (++*last < STORE_BLOCKS) {
-        if (first_word(app, *last) == last[-1]) {
+    while (++*last < store_blocks(vault->store.hal)) {
+        if (first_word(vault, *last) == last[-1]) {
             return chain->tries++ < TRIES_MAX;
         }
     }
     return false;
 }
 
-static size_t gather(app_t *app, uint8_t block, chain_t *chain) {
+static size_t gather(vault_t *vault, uint8_t block, chain_t *chain) {
     *chain = (chain_t){.block = {block}, .pieces = 1};
-    size_t length = take_piece(app, chain);
-    if (!is_record(app->record)) {
+    size_t length = take_piece(vault, chain);
+    if (!is_record(vault->record)) {
         return 0;
     }
     while (length == 0) {
-        if (chain->pieces < PIECES_MAX && chain->begin[chain->pieces] < sizeof app->record) {
+        if (chain->pieces < PIECES_MAX && chain->begin[chain->pieces] < sizeof vault->record) {
             chain->block[chain->pieces++] = FIRST_BLOCK - 1u;
         }
-        while (!next_candidate(app, chain)) {
+        while (!next_candidate(vault, chain)) {
             if (--chain->pieces <= 1u || chain->tries > TRIES_MAX) {
                 return 0;
             }
         }
-        length = take_piece(app, chain);
+        length = take_piece(vault, chain);
     }
     return length;
 }
 
-size_t salvage_gather(app_t *app, uint8_t block) {
+size_t salvage_gather(vault_t *vault, uint8_t block) {
     chain_t chain;
-    return gather(app, block, &chain);
+    return gather(vault, block, &chain);
 }
 
-critical_t salvage_kind(app_t *app, size_t length, key_record_t *key, uint32_t *counter) {
-    const uint8_t *record = app->record;
+critical_t salvage_kind(const vault_t *vault, const salvage_t *salvage, size_t length,
+                        key_record_t *key, uint32_t *counter) {
+    const uint8_t *record = vault->record;
+    params_t params;
     uint16_t ignored = 0;
     if (record_decode_key(record, length, key) == FAULT_NONE) {
         return CRITICAL_KEY;
     }
-    if (record_decode_reference(record, length, &app->shared.reference) == FAULT_NONE) {
+    if (record_decode_reference(record, length, &salvage->content->reference) == FAULT_NONE) {
         return CRITICAL_REFERENCE;
     }
-    if (record_decode_memory(record, length, &app->shared.memory) == FAULT_NONE) {
+    if (record_decode_memory(record, length, &salvage->content->memory) == FAULT_NONE) {
         return CRITICAL_LEARNED;
     }
-    if (record_decode_trial(record, length, &app->run.trial) == FAULT_NONE) {
+    if (record_decode_trial(record, length, &salvage->content->trial) == FAULT_NONE) {
         return CRITICAL_PENDING;
     }
-    if (record_decode_params(record, length, &app->params, &ignored) == FAULT_NONE) {
+    if (record_decode_params(record, length, &params, &ignored) == FAULT_NONE) {
         return CRITICAL_PARAMS;
     }
     const bool counts = record_decode_counter(record, length, counter) == FAULT_NONE;
@@ -140,34 +146,34 @@ static void note_origin(salvage_t *salvage, const salvage_origin_t *origin) {
     }
 }
 
-salvage_origin_t salvage_origin(const app_t *app, critical_t kind) {
-    const memory_t *memory = &app->shared.memory;
-    const trial_t *trial = &app->run.trial;
+salvage_origin_t salvage_origin(const salvage_t *salvage, critical_t kind) {
+    const memory_t *memory = &salvage->content->memory;
+    const trial_record_t *trial = &salvage->content->trial;
     return kind == CRITICAL_LEARNED
                ? (salvage_origin_t){memory->reference_crc, memory->last_trial, memory->iteration}
                : (salvage_origin_t){trial->reference_crc, trial->number, trial->iteration};
 }
 
 /* A trial's file begins with the words that name it; its number outlives the counter. */
-static void note_log(const app_t *app, salvage_t *salvage) {
+static void note_log(const vault_t *vault, salvage_t *salvage) {
     const size_t key_bytes = sizeof LOG_TRIAL - 1u;
-    for (size_t at = 0; at + key_bytes + 4u <= STORE_BLOCK_BYTES; at++) {
-        if (memcmp(app->record + at, LOG_TRIAL, key_bytes) == 0) {
-            salvage_note_trial(salvage, bytes_get_u32(app->record + at + key_bytes));
+    for (size_t at = 0; at + key_bytes + 4u <= LOG_HEADER_BYTES; at++) {
+        if (memcmp(vault->record + at, LOG_TRIAL, key_bytes) == 0) {
+            salvage_note_trial(salvage, bytes_get_u32(vault->record + at + key_bytes));
             return;
         }
     }
 }
 
 /* What is no record may still tell something. */
-static void note_rest(const app_t *app, salvage_t *salvage) {
-    if (memcmp(app->record, LOG_MAGIC, MAGIC_BYTES) == 0) {
+static void note_rest(const vault_t *vault, salvage_t *salvage) {
+    if (memcmp(vault->record, LOG_MAGIC, MAGIC_BYTES) == 0) {
         salvage->anything = true;
-        note_log(app, salvage);
-    } else if (unpacker_knows(app->record)) {
+        note_log(vault, salvage);
+    } else if (unpacker_knows(vault->record)) {
         salvage->anything = true;
-        salvage_note_trial(salvage, bytes_get_u32(app->record + PACKED_MAGIC_BYTES));
-    } else if (record_is_key(app->record)) {
+        salvage_note_trial(salvage, bytes_get_u32(vault->record + PACKED_MAGIC_BYTES));
+    } else if (record_is_key(vault->record)) {
         salvage->anything = salvage->key_damaged = true;
     }
 }
@@ -181,10 +187,10 @@ static void note_key(salvage_t *salvage, const key_record_t *key) {
 }
 
 /* First look: what does not depend on the reference, and which one that is. */
-static bool is_better(const app_t *app, salvage_t *salvage, critical_t kind,
+static bool is_better(const vault_t *vault, salvage_t *salvage, critical_t kind,
                       const key_record_t *key) {
     const bool first = salvage->best[kind] == 0;
-    const uint32_t crc = record_crc(app->record);
+    const uint32_t crc = record_crc(vault->record);
     switch (kind) {
     case CRITICAL_KEY:
         note_key(salvage, key);
@@ -201,7 +207,7 @@ static bool is_better(const app_t *app, salvage_t *salvage, critical_t kind,
         return true;
     case CRITICAL_LEARNED:
     case CRITICAL_PENDING: {
-        const salvage_origin_t origin = salvage_origin(app, kind);
+        const salvage_origin_t origin = salvage_origin(salvage, kind);
         note_origin(salvage, &origin);
         return false;
     }
@@ -211,14 +217,14 @@ static bool is_better(const app_t *app, salvage_t *salvage, critical_t kind,
 }
 
 /* Second look: what belongs to the reference. */
-static bool belongs(const app_t *app, salvage_t *salvage, critical_t kind) {
+static bool belongs(const vault_t *vault, salvage_t *salvage, critical_t kind) {
     if (kind == CRITICAL_REFERENCE) {
-        return record_crc(app->record) == salvage->origin.crc || salvage->origin.crc == 0;
+        return record_crc(vault->record) == salvage->origin.crc || salvage->origin.crc == 0;
     }
     if (kind != CRITICAL_LEARNED && kind != CRITICAL_PENDING) {
         return false;
     }
-    const salvage_origin_t origin = salvage_origin(app, kind);
+    const salvage_origin_t origin = salvage_origin(salvage, kind);
     if (origin.crc != salvage->origin.crc) {
         return false;
     }
@@ -233,21 +239,21 @@ static bool belongs(const app_t *app, salvage_t *salvage, critical_t kind) {
 }
 
 /* The very version that the witness names. */
-static bool is_exact(const app_t *app, const salvage_t *salvage, critical_t kind) {
+static bool is_exact(const vault_t *vault, const salvage_t *salvage, critical_t kind) {
     const uint32_t named = salvage->witness.entry[kind].crc;
-    return named != 0 && named == record_crc(app->record);
+    return named != 0 && named == record_crc(vault->record);
 }
 
-static void consider(app_t *app, salvage_t *salvage, uint8_t block, bool second) {
+static void consider(vault_t *vault, salvage_t *salvage, uint8_t block, bool second) {
     chain_t chain;
     key_record_t key;
     uint32_t counter = 0;
-    const size_t length = gather(app, block, &chain);
+    const size_t length = gather(vault, block, &chain);
     const critical_t kind =
-        length != 0 ? salvage_kind(app, length, &key, &counter) : CRITICAL_COUNT;
+        length != 0 ? salvage_kind(vault, salvage, length, &key, &counter) : CRITICAL_COUNT;
     if (kind == CRITICAL_COUNT) {
         if (!second) {
-            note_rest(app, salvage);
+            note_rest(vault, salvage);
         }
         return;
     }
@@ -256,18 +262,19 @@ static void consider(app_t *app, salvage_t *salvage, uint8_t block, bool second)
         salvage_note_trial(salvage, counter - 1u);
         return;
     }
-    const bool better = second ? belongs(app, salvage, kind) : is_better(app, salvage, kind, &key);
-    const bool exact = is_exact(app, salvage, kind);
+    const bool better =
+        second ? belongs(vault, salvage, kind) : is_better(vault, salvage, kind, &key);
+    const bool exact = is_exact(vault, salvage, kind);
     if (exact || (better && !salvage->exact[kind])) {
         salvage->best[kind] = block;
         salvage->exact[kind] = exact;
     }
 }
 
-static void keep_best(app_t *app, salvage_t *salvage) {
+static void keep_best(vault_t *vault, salvage_t *salvage) {
     for (uint32_t kind = 0; kind < CRITICAL_COUNT; kind++) {
         chain_t chain;
-        if (salvage->best[kind] != 0 && gather(app, salvage->best[kind], &chain) != 0) {
+        if (salvage->best[kind] != 0 && gather(vault, salvage->best[kind], &chain) != 0) {
             for (uint32_t i = 0; i < chain.pieces; i++) {
                 salvage->keep[chain.block[i] / 8u] |= (uint8_t)(1u << chain.block[i] % 8u);
             }
@@ -293,13 +300,13 @@ static void drop_doubtful(salvage_t *salvage) {
     }
 }
 
-void salvage_look(app_t *app, salvage_t *salvage) {
+void salvage_look(vault_t *vault, salvage_t *salvage) {
     for (uint32_t pass = 0; pass < 2u; pass++) {
-        for (uint32_t block = FIRST_BLOCK; block < STORE_BLOCKS; block++) {
-            hal_watchdog_feed(app->hal);
-            consider(app, salvage, (uint8_t)block, pass == 1u);
+        for (uint32_t block = FIRST_BLOCK; block < store_blocks(vault->store.hal); block++) {
+            hal_watchdog_feed(vault->store.hal);
+            consider(vault, salvage, (uint8_t)block, pass == 1u);
         }
     }
     drop_doubtful(salvage);
-    keep_best(app, salvage);
+    keep_best(vault, salvage);
 }
