@@ -1,5 +1,4 @@
-#include "nor.h"
-
+/* The storage: the SPI NOR flash on SPI0, a Spansion S25FL128S. */
 #include "board.h"
 
 #include <string.h>
@@ -14,11 +13,23 @@
 #define STATUS_BUSY 0x01u
 #define IDENTIFICATION 0x012018u /* Spansion, 128 Mbit */
 
-#define SECTOR_ERASE_LIMIT_US 1000000u
-#define PAGE_PROGRAM_LIMIT_US 5000u
+/* Sizes and times of the data sheet, for sectors of 64 KiB. */
+#define SECTOR_BYTES (64u * 1024u)
+#define PAGE_BYTES 256u
+#define SECTOR_ERASE_TYPICAL_US 130000u
+#define SECTOR_ERASE_MAX_US 650000u
+#define PAGE_PROGRAM_MAX_US 750u
 
-#define CLOCK_DIVIDER 1u /* SPI clock = APB0 / 4: 17.75 MHz */
-#define PIECE_BYTES 256u
+static const hal_flash_geometry_t geometry = {
+    .size_bytes = 16u * 1024u * 1024u,
+    .erase_bytes = SECTOR_BYTES,
+    .program_bytes = PAGE_BYTES,
+    .erase_typical_us = SECTOR_ERASE_TYPICAL_US,
+    .erase_max_us = SECTOR_ERASE_MAX_US,
+    .program_max_us = PAGE_PROGRAM_MAX_US,
+};
+
+#define CLOCK_DIVIDER 1u  /* SPI clock = APB0 / 4: 17.75 MHz */
 #define PASSES_MAX 10000u /* for one byte: 0.5 us */
 
 static uint8_t exchange(uint8_t byte) {
@@ -53,10 +64,11 @@ static void command(uint8_t code, uint32_t address_bytes, uint32_t offset, const
     }
 }
 
-static bool wait_ready(const hal_t *hal, uint32_t limit_us) {
+static bool wait_ready(hal_t *hal, uint32_t limit_us) {
     const uint64_t start_us = hal_time_us(hal);
     uint8_t status = STATUS_BUSY;
     do {
+        hal_watchdog_feed(hal);
         command(READ_STATUS, 0, 0, NULL, &status, 1);
     } while ((status & STATUS_BUSY) != 0 && hal_time_us(hal) - start_us < limit_us);
     return (status & STATUS_BUSY) == 0;
@@ -72,25 +84,56 @@ void nor_init(hal_t *hal) {
     hal->nor_there = ((uint32_t)id[0] << 16 | (uint32_t)id[1] << 8 | id[2]) == IDENTIFICATION;
 }
 
-bool nor_read(hal_t *hal, uint32_t offset, uint8_t *out, uint32_t length) {
-    uint32_t done = 0;
-    while (hal->nor_there && done < length) {
-        const uint32_t left = length - done;
-        const uint32_t piece = left < PIECE_BYTES ? left : PIECE_BYTES;
-        command(READ, 3, offset + done, NULL, out + done, piece);
-        done += piece;
-    }
-    return hal->nor_there;
+const hal_flash_geometry_t *hal_flash_geometry(const hal_t *hal) {
+    (void)hal;
+    return &geometry;
 }
 
-bool nor_erase(hal_t *hal, uint32_t offset) {
+bool hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
+    if (!hal->nor_there || offset > geometry.size_bytes || length > geometry.size_bytes - offset) {
+        return false;
+    }
+    uint8_t *to = out;
+    for (uint32_t done = 0; done < length; done += PAGE_BYTES) {
+        const uint32_t left = length - done;
+        command(READ, 3, offset + done, NULL, to + done, left < PAGE_BYTES ? left : PAGE_BYTES);
+    }
+    return true;
+}
+
+static bool reads_as(hal_t *hal, uint32_t offset, const uint8_t *page) {
+    uint8_t read[PAGE_BYTES];
+    return hal_flash_read(hal, offset, read, sizeof read) && memcmp(read, page, sizeof read) == 0;
+}
+
+static bool reads_erased(hal_t *hal, uint32_t offset) {
+    uint8_t erased[PAGE_BYTES];
+    memset(erased, 0xFF, sizeof erased);
+    bool good = true;
+    for (uint32_t at = 0; at < SECTOR_BYTES; at += PAGE_BYTES) {
+        good = good && reads_as(hal, offset + at, erased);
+    }
+    return good;
+}
+
+static bool unit_fits(const hal_t *hal, uint32_t offset, uint32_t unit_bytes) {
+    return hal->nor_there && offset % unit_bytes == 0 && offset < geometry.size_bytes;
+}
+
+bool hal_flash_erase(hal_t *hal, uint32_t offset) {
+    if (!unit_fits(hal, offset, SECTOR_BYTES)) {
+        return false;
+    }
     command(WRITE_ENABLE, 0, 0, NULL, NULL, 0);
     command(SECTOR_ERASE, 3, offset, NULL, NULL, 0);
-    return hal->nor_there && wait_ready(hal, SECTOR_ERASE_LIMIT_US);
+    return wait_ready(hal, 2u * SECTOR_ERASE_MAX_US) && reads_erased(hal, offset);
 }
 
-bool nor_program(hal_t *hal, uint32_t offset, const uint8_t *page) {
+bool hal_flash_program(hal_t *hal, uint32_t offset, const void *bytes) {
+    if (!unit_fits(hal, offset, PAGE_BYTES)) {
+        return false;
+    }
     command(WRITE_ENABLE, 0, 0, NULL, NULL, 0);
-    command(PAGE_PROGRAM, 3, offset, page, NULL, NOR_PAGE_BYTES);
-    return hal->nor_there && wait_ready(hal, PAGE_PROGRAM_LIMIT_US);
+    command(PAGE_PROGRAM, 3, offset, bytes, NULL, PAGE_BYTES);
+    return wait_ready(hal, 4u * PAGE_PROGRAM_MAX_US) && reads_as(hal, offset, bytes);
 }

@@ -71,11 +71,32 @@ bool hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
     return false;
 }
 
-/* Erase and write, then compare. */
-bool hal_flash_write_page(hal_t *hal, uint32_t offset, const void *page) {
+/* Sizes and times of the chip's data sheet, constant. */
+const hal_flash_geometry_t *hal_flash_geometry(const hal_t *hal) {
+    (void)hal;
+    static const hal_flash_geometry_t geometry = {
+        .size_bytes = 256u * 1024u,
+        .erase_bytes = 4096u,
+        .program_bytes = 256u,
+        .erase_typical_us = 45000u,
+        .erase_max_us = 400000u,
+        .program_max_us = 3000u,
+    };
+    return &geometry;
+}
+
+/* Erase one unit, then look that it reads 0xFF. Feed the watchdog if that may take longer. */
+bool hal_flash_erase(hal_t *hal, uint32_t offset) {
     (void)hal;
     (void)offset;
-    (void)page;
+    return false;
+}
+
+/* Program one unit, then compare. */
+bool hal_flash_program(hal_t *hal, uint32_t offset, const void *bytes) {
+    (void)hal;
+    (void)offset;
+    (void)bytes;
     return false;
 }
 
