@@ -28,8 +28,9 @@ from vboard.core.clock import TICKS_PER_US
 from .emcraft import QEMU, EmcraftBoard
 from .test_pulses import probe
 
-IMAGE = Path(__file__).resolve().parents[2] / "build" / "firmware" / "tailbeat_smartfusion2.elf"
+IMAGE = Path(__file__).resolve().parents[2] / "build" / "smartfusion2" / "tailbeat_smartfusion2.elf"
 BOOT_S = 30.0
+ERASE_S = 10.0  # an armed board erases what the trial will need, where its flash erases first
 
 TRIALS = 6
 BEATS, BEAT_S = 5, 0.4
@@ -68,6 +69,8 @@ def learn_all(fish: Fish) -> list[np.ndarray]:
     """The input after each trial."""
     learned = []
     for speed_m_s in SPEEDS_M_S:
+        fish.arm()
+        fish.link.run(ERASE_S)
         outcome = run_trial(fish)
         assert outcome.end == "complete"
         fish.upload_speeds(outcome.number, speed_m_s, SIGMA_M_S)
@@ -106,7 +109,7 @@ def power_on(folder: Path) -> EmcraftBoard:
 
 @pytest.fixture
 def port(tmp_path: Path) -> Iterator[EmcraftBoard]:
-    assert IMAGE.is_file(), "there is no image of the port to test: make firmware"
+    assert IMAGE.is_file(), "there is no image of the port to test: make smartfusion2"
     with power_on(tmp_path) as board:
         yield board
 
