@@ -32,7 +32,7 @@ UNLIMITED := -o faulthandler_timeout=0
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $$(($$(nproc) + 1)) --dist worksteal
 
 .PHONY: help demo test image qemu soak bench firmware sbom flash size check docs dist clean lock bootstrap package \
-	unit host_tests coverage toolchain fuzz bench_programs conformance_programs
+	unit host_tests coverage toolchain fuzz bench_programs conformance_programs smartfusion2
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -45,7 +45,7 @@ test: toolchain ## all tests: C (sanitized, and on a Cortex-M3), host tool, flas
 		unit '$(MAKE) unit coverage' qemu '$(MAKE) qemu' image '$(MAKE) image' \
 		'host and system' '$(MAKE) host_tests'
 
-image: package firmware conformance_programs ## only the tests of the flash image
+image: package firmware smartfusion2 conformance_programs ## only the tests of the flash image
 	@tools/bootstrap image
 	@$(PYTEST) tests/image
 
@@ -122,6 +122,12 @@ conformance_programs: firmware
 		--target sam3x8e_conformance sam3x8e_conformance_faulty
 	@$(STEP) "building the conformance suite" cmake --build build/unit \
 		--target simulated_conformance simulated_conformance_faulty
+
+smartfusion2: package # the port that QEMU runs: build/smartfusion2/tailbeat_smartfusion2.elf
+	@tools/bootstrap firmware
+	@$(CONFIGURE) -B build/smartfusion2 -DTAILBEAT_CHIP=smartfusion2 -DTAILBEAT_TESTS=OFF \
+		-DTAILBEAT_NATIVE=OFF --toolchain $(CURDIR)/cmake/cortex-m3.cmake >/dev/null
+	@$(STEP) "building the SmartFusion2 port" cmake --build build/smartfusion2 --target smartfusion2_image
 
 sbom: package ## everything built in or installed, as CycloneDX: build/sbom.json
 	@$(PYTHON) tools/sbom.py

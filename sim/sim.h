@@ -56,6 +56,6 @@ world_t *sim_world(sim_t *sim);
 
 void sim_power_cycle(sim_t *sim); /* flash stays; all else starts anew, now */
 void sim_set_radio(sim_t *sim, bool connected);
-uint8_t *sim_flash(sim_t *sim); /* HAL_FLASH_SIZE_BYTES, owned by the board */
+uint8_t *sim_flash(sim_t *sim); /* HOST_FLASH_BYTES, owned by the board */
 
 #endif

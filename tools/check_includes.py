@@ -55,6 +55,9 @@ SIM_ALLOWED: dict[str, tuple[str, ...]] = {
     ),
     "sim/batch": ("common/", "water/", "fish/tail.h", "config_valid.h"),
 }
+
+# A chip's folder shares what all chips of its core have (hal/cortex_m3).
+CHIP_ALLOWED = ("base/", "hal/", "registers/", "app/app.h", "crash.h", "memory_map.h")
 ALLOWED: dict[str, tuple[str, ...]] = {
     **{f"firmware/{name}": allowed for name, allowed in PURE_ALLOWED.items()},
     "firmware/store": (*PURE_PREFIXES, "store/", "hal/flash.h", "hal/system.h", "lfs.h"),
@@ -73,8 +76,12 @@ ALLOWED: dict[str, tuple[str, ...]] = {
         "hal/",
     ),
     "hal/include/hal": ("hal/",),
+    "hal/cortex_m3/registers": ("registers/",),
+    "hal/cortex_m3": ("base/", "hal/", "registers/"),
     "hal/sam3x8e/registers": ("registers/",),
-    "hal/sam3x8e": ("base/", "hal/", "registers/", "app/app.h"),
+    "hal/sam3x8e": CHIP_ALLOWED,
+    "hal/smartfusion2": CHIP_ALLOWED,
+    "hal/template": ("base/", "hal/", "app/app.h"),
     "hal/host": ("base/panic.h", "hal/", "common/byte_ring.h"),
     "hal/mock": ("base/", "hal/"),
     **SIM_ALLOWED,

@@ -58,6 +58,10 @@ static bool keep_crash(app_t *app) {
     }
     keyring_hide(&app->keyring, (uint8_t *)&report.crash, sizeof report.crash);
     (void)strncpy(report.build_id, link_build_id(), BUILD_ID_BYTES - 1u);
+    for (uint32_t i = 0; i < HAL_CRASH_REGISTERS; i++) {
+        (void)strncpy(report.register_names[i], hal_crash_register(app->hal, i),
+                      HAL_CRASH_NAME_BYTES - 1u);
+    }
     if (vault_save_crash(&app->vault, &report) == STORE_OK) {
         hal_crash_forget(app->hal);
     }
@@ -65,6 +69,9 @@ static bool keep_crash(app_t *app) {
 }
 
 static fault_t judge(const app_t *app, store_result_t mounted, bool key_readable, bool crashed) {
+    if (mounted == STORE_TOO_SMALL || mounted == STORE_BAD_GEOMETRY) {
+        return FAULT_STORE_UNFIT;
+    }
     if (mounted != STORE_OK) {
         return FAULT_STORAGE;
     }

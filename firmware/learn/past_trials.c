@@ -146,8 +146,8 @@ store_result_t past_trials_keep(const past_trials_t *trials, const law_t *law,
     return vault_save_past(trials->vault, trials->memory->iteration - 1u, past);
 }
 
-uint32_t past_trials_room_bytes(const params_t *params) {
-    return settings_past_kind(params) == PAST_LAST ? 0u : VAULT_PAST_ROOM_BYTES;
+uint32_t past_trials_room_blocks(const params_t *params) {
+    return settings_past_kind(params) == PAST_LAST ? 0u : VAULT_PAST_ROOM_BLOCKS;
 }
 
 uint16_t past_trials_reach(const params_t *params) {

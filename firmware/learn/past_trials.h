@@ -45,8 +45,8 @@ store_result_t past_trials_keep(const past_trials_t *trials, const law_t *law,
                                 const trial_record_t *trial, const law_trial_t *errors,
                                 const past_view_t *view);
 
-/* What past_trials_keep asks of the store beyond its reserve. */
-uint32_t past_trials_room_bytes(const params_t *params);
+/* What past_trials_keep asks of the store beyond its reserve, blocks. */
+uint32_t past_trials_room_blocks(const params_t *params);
 
 /* How many earlier trials the law of the moment reads: files that are worth keeping. */
 uint16_t past_trials_reach(const params_t *params);

@@ -33,16 +33,27 @@ static void copy_hash(uint8_t out[HASH_CHARS]) {
     }
 }
 
+/* As common ground stations can show it. Any other board sends 0. */
+static uint16_t board_number(const char *name) {
+    static const char *const known[] = {"fish", "simulated", "emulated"};
+    uint16_t number = sizeof known / sizeof known[0];
+    while (number > 0 && strcmp(name, known[number - 1u]) != 0) {
+        number--;
+    }
+    return number;
+}
+
 void identity_version(const reports_t *reports, channel_t *channel) {
     hal_t *hal = reports->outbox->hal;
+    const uint16_t board = board_number(hal_board_name(hal));
     uint8_t unique_id[16];
     char text[OUTBOX_TEXT_CHARS + 1] = "tailbeat ";
     mavlink_autopilot_version_t version = {
         .capabilities = MAV_PROTOCOL_CAPABILITY_FTP | MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST |
                         MAV_PROTOCOL_CAPABILITY_COMMAND_INT | MAV_PROTOCOL_CAPABILITY_MAVLINK2,
         .flight_sw_version = VERSION_0_1_0,
-        .board_version = (uint32_t)hal_board_kind(hal),
-        .product_id = (uint16_t)hal_board_kind(hal),
+        .board_version = board,
+        .product_id = board,
     };
     hal_unique_id(hal, unique_id);
     memcpy(version.uid2, unique_id, sizeof unique_id);

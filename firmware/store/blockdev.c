@@ -14,7 +14,11 @@
 #define BLOCK_CYCLES 20
 /* Before a trial every metadata block more than half full is compacted, so that fewer compactions
  * fall into the swim. */
-#define COMPACT_BYTES (STORE_BLOCK_BYTES / 2u)
+#define COMPACT_PART 2u
+
+/* What a folder uses of a large block at most. Reading a folder, and the more so compacting it,
+ * takes long when it is full of old commits. */
+#define FOLDER_MAX_BYTES 4096u
 
 /* No file lives inside a folder's metadata: a record in a block of its own outlives the root
  * folder, which shares its pair of blocks with the superblock, and can be found again by its first
@@ -34,10 +38,54 @@
 #define FEED_READS 256u
 #define FED_READS_MAX (4u * READS_MAX)
 
-_Static_assert(STORE_CACHE_BYTES >= HAL_FLASH_PAGE_BYTES, "a page fits the cache");
+static uint32_t flash_offset(const store_t *store, lfs_block_t block, lfs_off_t offset) {
+    return block * store_block_bytes(store->hal) + offset;
+}
 
-static uint32_t flash_offset(lfs_block_t block, lfs_off_t offset) {
-    return block * STORE_BLOCK_BYTES + offset;
+bool blockdev_is_blank(const store_t *store, uint32_t block) {
+    return (store->blank[block / 8u] & 1u << block % 8u) != 0u;
+}
+
+static void set_blank(store_t *store, uint32_t block, bool blank) {
+    const uint8_t bit = (uint8_t)(1u << block % 8u);
+    uint8_t *const eight = &store->blank[block / 8u];
+    *eight = (uint8_t)(blank ? *eight | bit : *eight & ~bit);
+}
+
+static bool erase_units(const store_t *store, uint32_t block) {
+    const uint32_t unit = hal_flash_geometry(store->hal)->erase_bytes;
+    for (uint32_t done = 0; done < store_block_bytes(store->hal); done += unit) {
+        if (!hal_flash_erase(store->hal, flash_offset(store, block, done))) {
+            return false;
+        }
+    }
+    return true;
+}
+
+bool blockdev_erase(store_t *store, uint32_t block) {
+    if (!store_erases_first(store->hal) || blockdev_is_blank(store, block)) {
+        return true;
+    }
+    if (store->erase_forbidden) {
+        store->erases_refused++;
+        return false;
+    }
+    const bool erased = erase_units(store, block);
+    set_blank(store, block, erased);
+    return erased;
+}
+
+bool blockdev_program(store_t *store, uint32_t offset, const uint8_t *page) {
+    const uint32_t unit = hal_flash_geometry(store->hal)->program_bytes;
+    if (store_erases_first(store->hal)) {
+        set_blank(store, offset / store_block_bytes(store->hal), false);
+    }
+    for (uint32_t done = 0; done < STORE_PAGE_BYTES; done += unit) {
+        if (!hal_flash_program(store->hal, offset + done, page + done)) {
+            return false;
+        }
+    }
+    return true;
 }
 
 /* Whether what was read at |at| reads otherwise now; |*where| it does so first. */
@@ -55,15 +103,27 @@ static bool wavers(hal_t *hal, uint32_t at, const uint8_t *read, uint32_t length
 }
 
 /* A cut in the midst of a page write may leave bits that read now so, now so: littlefs would see a
- * commit, build on it, and not see it the next time. While mounting every page it looks at is made
- * to stay as it was read. It is the page of a commit that nobody was told of, so either will do; a
- * commit never shares a page with another. */
+ * commit, build on it, and not see it the next time. It is the page of a commit that nobody was
+ * told of, so either will do; a commit never shares a page with another. Where programming erases,
+ * every such page that the mount looks at is made to stay as it was read. */
 static void refresh_page(store_t *store, uint32_t at) {
     uint8_t *const page = store->file_cache; /* no file is open yet */
-    const uint32_t begin = at - at % HAL_FLASH_PAGE_BYTES;
-    if (hal_flash_read(store->hal, begin, page, HAL_FLASH_PAGE_BYTES)) {
-        (void)hal_flash_write_page(store->hal, begin, page);
+    const uint32_t begin = at - at % STORE_PAGE_BYTES;
+    if (hal_flash_read(store->hal, begin, page, STORE_PAGE_BYTES)) {
+        (void)blockdev_program(store, begin, page);
     }
+}
+
+/* A page cannot be written again where the block must be erased first: there the commit is left
+ * out, and store_find moves its folder. Zeros, for littlefs takes its cache for what was read. */
+static int settle(store_t *store, uint32_t at, uint32_t where, void *out, lfs_size_t length) {
+    if (store_erases_first(store->hal)) {
+        store->wavers = true;
+        memset(out, 0, length);
+        return LFS_ERR_CORRUPT;
+    }
+    refresh_page(store, where);
+    return hal_flash_read(store->hal, at, out, length) ? LFS_ERR_OK : LFS_ERR_IO;
 }
 
 static void feed_watchdog(store_t *store) {
@@ -75,7 +135,7 @@ static void feed_watchdog(store_t *store) {
 static int read_block(const struct lfs_config *config, lfs_block_t block, lfs_off_t offset,
                       void *out, lfs_size_t length) {
     store_t *store = config->context;
-    const uint32_t at = flash_offset(block, offset);
+    const uint32_t at = flash_offset(store, block, offset);
     if (store->reads >= READS_MAX) {
         store->mounted = false;
         return LFS_ERR_IO;
@@ -86,11 +146,13 @@ static int read_block(const struct lfs_config *config, lfs_block_t block, lfs_of
         return LFS_ERR_IO;
     }
     uint32_t where = at;
-    if (!store->mounted && wavers(store->hal, at, out, length, &where)) {
-        refresh_page(store, where);
-        return hal_flash_read(store->hal, at, out, length) ? LFS_ERR_OK : LFS_ERR_IO;
-    }
-    return LFS_ERR_OK;
+    const bool stays = store->mounted || !wavers(store->hal, at, out, length, &where);
+    return stays ? LFS_ERR_OK : settle(store, at, where, out, length);
+}
+
+static bool may_write(const store_t *store, lfs_block_t block) {
+    return block < store_data_blocks(store->hal) &&
+           (store->keep[block / 8u] & 1u << block % 8u) == 0u;
 }
 
 /* A page that does not take its data makes littlefs put the data into another block; so do the raw
@@ -99,11 +161,11 @@ static int program_block(const struct lfs_config *config, lfs_block_t block, lfs
                          const void *bytes, lfs_size_t length) {
     store_t *store = config->context;
     const uint8_t *page = bytes;
-    if (block >= STORE_DATA_BLOCKS || (store->keep[block / 8u] & 1u << block % 8u) != 0u) {
+    if (!may_write(store, block)) {
         return LFS_ERR_CORRUPT;
     }
-    for (lfs_size_t done = 0; done < length; done += HAL_FLASH_PAGE_BYTES) {
-        if (!hal_flash_write_page(store->hal, flash_offset(block, offset + done), page + done)) {
+    for (lfs_size_t done = 0; done < length; done += STORE_PAGE_BYTES) {
+        if (!blockdev_program(store, flash_offset(store, block, offset + done), page + done)) {
             store->pages_failed++;
             return LFS_ERR_CORRUPT;
         }
@@ -111,11 +173,14 @@ static int program_block(const struct lfs_config *config, lfs_block_t block, lfs
     return LFS_ERR_OK;
 }
 
-/* A page write erases the page itself, and littlefs leaves open what an erased block holds. */
+/* Where programming erases there is nothing to do: littlefs leaves open what an erased block holds.
+ * Elsewhere a block that cannot be erased is a bad one, and littlefs takes another. */
 static int erase_block(const struct lfs_config *config, lfs_block_t block) {
-    (void)config;
-    (void)block;
-    return LFS_ERR_OK;
+    store_t *store = config->context;
+    if (!store_erases_first(store->hal)) {
+        return LFS_ERR_OK;
+    }
+    return may_write(store, block) && blockdev_erase(store, block) ? LFS_ERR_OK : LFS_ERR_CORRUPT;
 }
 
 static int sync_device(const struct lfs_config *config) {
@@ -123,7 +188,15 @@ static int sync_device(const struct lfs_config *config) {
     return LFS_ERR_OK;
 }
 
+static lfs_size_t folder_bytes(const hal_t *hal) {
+    const uint32_t block_bytes = store_block_bytes(hal);
+    return block_bytes < FOLDER_MAX_BYTES ? block_bytes : FOLDER_MAX_BYTES;
+}
+
+lfs_size_t blockdev_compact_bytes(const hal_t *hal) { return folder_bytes(hal) / COMPACT_PART; }
+
 void blockdev_configure(store_t *store, hal_t *hal) {
+    const uint32_t block_bytes = store_block_bytes(hal);
     store->hal = hal;
     store->config = (struct lfs_config){.context = store,
                                         .read = read_block,
@@ -131,13 +204,14 @@ void blockdev_configure(store_t *store, hal_t *hal) {
                                         .erase = erase_block,
                                         .sync = sync_device,
                                         .read_size = READ_BYTES,
-                                        .prog_size = HAL_FLASH_PAGE_BYTES,
-                                        .block_size = STORE_BLOCK_BYTES,
-                                        .block_count = STORE_BLOCKS,
+                                        .prog_size = STORE_PAGE_BYTES,
+                                        .block_size = block_bytes,
+                                        .block_count = store_blocks(hal),
                                         .block_cycles = BLOCK_CYCLES,
                                         .cache_size = STORE_CACHE_BYTES,
                                         .lookahead_size = STORE_LOOKAHEAD_BYTES,
-                                        .compact_thresh = COMPACT_BYTES,
+                                        .compact_thresh = block_bytes / COMPACT_PART,
+                                        .metadata_max = folder_bytes(hal),
                                         .inline_max = INLINE_NONE,
                                         .read_buffer = store->read_cache,
                                         .prog_buffer = store->program_cache,

@@ -22,8 +22,15 @@
 #define AMPLITUDES_FIXED_BYTES 4u
 #define KEY_FIXED_BYTES 8u
 #define KEY_BYTES 32u
-#define CRASH_REGISTERS 16u
-#define CRASH_FIXED_BYTES (4u + 8u + BUILD_ID_BYTES + HAL_CRASH_WHERE_BYTES + 4u * CRASH_REGISTERS)
+#define CRASH_ID_AT 12u
+#define CRASH_WHERE_AT (CRASH_ID_AT + BUILD_ID_BYTES)
+#define CRASH_WORDS_AT (CRASH_WHERE_AT + HAL_CRASH_WHERE_BYTES)
+#define CRASH_OWN_BYTES 16u /* crashes, pc, return address, sp */
+#define CRASH_REGISTER_BYTES (HAL_CRASH_NAME_BYTES + 4u)
+#define CRASH_FIXED_BYTES                                                                          \
+    (CRASH_WORDS_AT + CRASH_OWN_BYTES + CRASH_REGISTER_BYTES * HAL_CRASH_REGISTERS)
+#define CRASH_UNNAMED_VERSION 1u
+#define CRASH_UNNAMED_BYTES (CRASH_WORDS_AT + 4u * 16u)
 #define PARAM_BYTES (PARAM_NAME_BYTES + F32_BYTES)
 
 _Static_assert(RECORD_MAX_BYTES ==
@@ -456,55 +463,103 @@ fault_t record_decode_amplitudes(const uint8_t *bytes, size_t length,
     return FAULT_NONE;
 }
 
+static uint8_t *put_registers(uint8_t *at, const crash_report_t *report) {
+    for (uint32_t i = 0; i < HAL_CRASH_REGISTERS; i++) {
+        memcpy(at, report->register_names[i], HAL_CRASH_NAME_BYTES);
+        at = bytes_put_u32(at + HAL_CRASH_NAME_BYTES, report->crash.registers[i]);
+    }
+    return at;
+}
+
 size_t record_encode_crash(const crash_report_t *report, uint8_t *out) {
     const hal_crash_t *crash = &report->crash;
-    const uint32_t words[CRASH_REGISTERS] = {
-        crash->r0,    crash->r1,   crash->r2,   crash->r3,         crash->r12,  crash->lr,
-        crash->pc,    crash->xpsr, crash->sp,   crash->exc_return, crash->cfsr, crash->hfsr,
-        crash->mmfar, crash->bfar, crash->icsr, crash->crashes};
     REQUIRE(crash->stack_words <= HAL_CRASH_STACK_WORDS);
-    uint8_t *at = begin_record(out, magic_crash, (uint16_t)crash->stack_words);
+    uint8_t *at =
+        begin_version(out, magic_crash, RECORD_CRASH_VERSION, (uint16_t)crash->stack_words);
     at = bytes_put_u64(bytes_put_u32(at, crash->kind), crash->time_us);
     memcpy(at, report->build_id, BUILD_ID_BYTES);
     at += BUILD_ID_BYTES;
     memcpy(at, crash->where, HAL_CRASH_WHERE_BYTES);
-    at += HAL_CRASH_WHERE_BYTES;
-    for (unsigned i = 0; i < CRASH_REGISTERS; i++) {
-        at = bytes_put_u32(at, words[i]);
-    }
+    at = bytes_put_u32(at + HAL_CRASH_WHERE_BYTES, crash->crashes);
+    at = bytes_put_u32(bytes_put_u32(at, crash->pc), crash->return_address);
+    at = put_registers(bytes_put_u32(at, crash->sp), report);
     for (uint32_t i = 0; i < crash->stack_words; i++) {
         at = bytes_put_u32(at, crash->stack[i]);
     }
     return end_record(out, at);
 }
 
+static bool names_end(const uint8_t *registers) {
+    bool good = true;
+    for (uint32_t i = 1; i <= HAL_CRASH_REGISTERS; i++) {
+        good = good && registers[i * CRASH_REGISTER_BYTES - 4u - 1u] == 0;
+    }
+    return good;
+}
+
+static void get_registers(const uint8_t *words, crash_report_t *report) {
+    hal_crash_t *crash = &report->crash;
+    crash->crashes = bytes_get_u32(words);
+    crash->pc = bytes_get_u32(words + 4u);
+    crash->return_address = bytes_get_u32(words + 8u);
+    crash->sp = bytes_get_u32(words + 12u);
+    for (uint32_t i = 0; i < HAL_CRASH_REGISTERS; i++) {
+        const uint8_t *entry = words + CRASH_OWN_BYTES + CRASH_REGISTER_BYTES * i;
+        memcpy(report->register_names[i], entry, HAL_CRASH_NAME_BYTES);
+        crash->registers[i] = bytes_get_u32(entry + HAL_CRASH_NAME_BYTES);
+    }
+}
+
+/* Version 1: r0 to r3, r12, lr, pc, xpsr, sp, and these others, all of ARMv7-M; then the crashes.
+ */
+static void get_unnamed_registers(const uint8_t *words, crash_report_t *report) {
+    static const struct {
+        char name[HAL_CRASH_NAME_BYTES];
+        uint32_t word;
+    } others[HAL_CRASH_REGISTERS] = {{"r0", 0},    {"r1", 1},     {"r2", 2},      {"r3", 3},
+                                     {"r12", 4},   {"xpsr", 7},   {"exc_ret", 9}, {"cfsr", 10},
+                                     {"hfsr", 11}, {"mmfar", 12}, {"bfar", 13},   {"icsr", 14}};
+    hal_crash_t *crash = &report->crash;
+    crash->return_address = bytes_get_u32(words + 4u * 5u);
+    crash->pc = bytes_get_u32(words + 4u * 6u);
+    crash->sp = bytes_get_u32(words + 4u * 8u);
+    crash->crashes = bytes_get_u32(words + 4u * 15u);
+    for (uint32_t i = 0; i < HAL_CRASH_REGISTERS; i++) {
+        memcpy(report->register_names[i], others[i].name, HAL_CRASH_NAME_BYTES);
+        crash->registers[i] = bytes_get_u32(words + 4u * others[i].word);
+    }
+}
+
+static void get_crash(const uint8_t *body, crash_report_t *report) {
+    hal_crash_t *crash = &report->crash;
+    crash->kind = bytes_get_u32(body);
+    crash->time_us = bytes_get_u64(body + 4u);
+    memcpy(report->build_id, body + CRASH_ID_AT, BUILD_ID_BYTES);
+    memcpy(crash->where, body + CRASH_WHERE_AT, HAL_CRASH_WHERE_BYTES);
+}
+
 fault_t record_decode_crash(const uint8_t *bytes, size_t length, crash_report_t *report) {
-    static const shape_t shape = {magic_crash, RECORD_VERSION,       CRASH_FIXED_BYTES, 4u,
+    static const shape_t shape = {magic_crash, RECORD_CRASH_VERSION, CRASH_FIXED_BYTES, 4u,
                                   0,           HAL_CRASH_STACK_WORDS};
-    if (!shape_fits(&shape, bytes, length)) {
+    static const shape_t unnamed = {magic_crash, CRASH_UNNAMED_VERSION, CRASH_UNNAMED_BYTES, 4u,
+                                    0,           HAL_CRASH_STACK_WORDS};
+    const bool named = shape_fits(&shape, bytes, length);
+    if (!named && !shape_fits(&unnamed, bytes, length)) {
         return FAULT_BAD_FORMAT;
     }
-    hal_crash_t *crash = &report->crash;
-    uint32_t *const registers[CRASH_REGISTERS] = {
-        &crash->r0,    &crash->r1,   &crash->r2,   &crash->r3,         &crash->r12,  &crash->lr,
-        &crash->pc,    &crash->xpsr, &crash->sp,   &crash->exc_return, &crash->cfsr, &crash->hfsr,
-        &crash->mmfar, &crash->bfar, &crash->icsr, &crash->crashes};
-    const uint8_t *id = bytes + RECORD_HEADER_BYTES + 12u;
-    const uint8_t *where = id + BUILD_ID_BYTES;
-    const uint8_t *words = where + HAL_CRASH_WHERE_BYTES;
-    if (id[BUILD_ID_BYTES - 1u] != 0 || where[HAL_CRASH_WHERE_BYTES - 1u] != 0) {
+    const uint8_t *body = bytes + RECORD_HEADER_BYTES;
+    const uint8_t *words = body + CRASH_WORDS_AT;
+    if (body[CRASH_WHERE_AT - 1u] != 0 || words[-1] != 0 ||
+        (named && !names_end(words + CRASH_OWN_BYTES))) {
         return FAULT_BAD_DATA;
     }
-    crash->kind = bytes_get_u32(bytes + RECORD_HEADER_BYTES);
-    crash->time_us = bytes_get_u64(bytes + RECORD_HEADER_BYTES + 4u);
-    memcpy(report->build_id, id, BUILD_ID_BYTES);
-    memcpy(crash->where, where, HAL_CRASH_WHERE_BYTES);
-    for (unsigned i = 0; i < CRASH_REGISTERS; i++) {
-        *registers[i] = bytes_get_u32(words + 4u * i);
-    }
+    get_crash(body, report);
+    (named ? get_registers : get_unnamed_registers)(words, report);
+    hal_crash_t *crash = &report->crash;
     crash->stack_words = bytes_get_u16(bytes + 6);
+    const uint8_t *stack = body + (named ? CRASH_FIXED_BYTES : CRASH_UNNAMED_BYTES);
     for (uint32_t i = 0; i < crash->stack_words; i++) {
-        crash->stack[i] = bytes_get_u32(words + 4u * (CRASH_REGISTERS + i));
+        crash->stack[i] = bytes_get_u32(stack + 4u * i);
     }
     return FAULT_NONE;
 }

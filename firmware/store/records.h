@@ -25,6 +25,7 @@
 #define RECORD_MAGIC_BYTES 4u
 #define RECORD_VERSION 1u
 #define RECORD_MEMORY_VERSION 3u
+#define RECORD_CRASH_VERSION 2u
 
 /* The longest pending trial, and the longest of all others (learned input), 512 beats. */
 #define RECORD_TRIAL_MAX_BYTES (28u + 3u * 4u * BEATS_MAX)
@@ -99,6 +100,8 @@ typedef struct {
 typedef struct {
     char build_id[BUILD_ID_BYTES]; /* ends with a NUL */
     hal_crash_t crash;
+    /* Of crash.registers; each ends with a NUL, "" is a register the board does not fill. */
+    char register_names[HAL_CRASH_REGISTERS][HAL_CRASH_NAME_BYTES];
 } crash_report_t;
 
 /* Encoders return the number of bytes written; |out| holds RECORD_TRIAL_MAX_BYTES for a trial and
@@ -157,7 +160,8 @@ fault_t record_decode_amplitudes(const uint8_t *bytes, size_t length,
 /* A mark of 48 bits. The record ends after it when no key is set; |key| is then all zeros. */
 fault_t record_decode_key(const uint8_t *bytes, size_t length, key_record_t *key);
 
-/* stack_words <= HAL_CRASH_STACK_WORDS; both texts end with a NUL. */
+/* stack_words <= HAL_CRASH_STACK_WORDS; all texts end with a NUL. Version 1 has the registers of
+ * ARMv7-M and no names: it gets them. */
 fault_t record_decode_crash(const uint8_t *bytes, size_t length, crash_report_t *report);
 
 /* Parameters are stored by name, older firmware's names (params/renamed.def) included: unknown

@@ -13,6 +13,7 @@
 #define CRC_BEGIN 8u /* the record's own, not part of its sum */
 #define LOG_MAGIC "ULog"
 #define LOG_TRIAL "uint32_t trial"
+#define LOG_HEADER_BYTES STORE_BLOCK_MIN_BYTES /* its trial's number is among them */
 
 /* The blocks of one record, and how far they have been read into vault->record. */
 typedef struct {
@@ -22,11 +23,13 @@ typedef struct {
     uint32_t pieces, tries;
 } chain_t;
 
-static uint32_t block_offset(uint32_t block) { return block * STORE_BLOCK_BYTES; }
+static uint32_t block_offset(const vault_t *vault, uint32_t block) {
+    return block * store_block_bytes(vault->store.hal);
+}
 
 static uint32_t first_word(vault_t *vault, uint32_t block) {
     uint8_t word[4] = {0};
-    (void)hal_flash_read(vault->store.hal, block_offset(block), word, sizeof word);
+    (void)hal_flash_read(vault->store.hal, block_offset(vault, block), word, sizeof word);
     return bytes_get_u32(word);
 }
 
@@ -38,10 +41,11 @@ static size_t take_piece(vault_t *vault, chain_t *chain) {
     const uint32_t last = chain->pieces - 1u;
     const size_t begin = chain->begin[last];
     const size_t room = sizeof vault->record - begin;
-    const size_t whole = STORE_BLOCK_BYTES - pointer_bytes[last];
+    const size_t whole = store_block_bytes(vault->store.hal) - pointer_bytes[last];
     const size_t length = whole < room ? whole : room;
     uint8_t *const record = vault->record;
-    if (!hal_flash_read(vault->store.hal, block_offset(chain->block[last]) + pointer_bytes[last],
+    if (!hal_flash_read(vault->store.hal,
+                        block_offset(vault, chain->block[last]) + pointer_bytes[last],
                         record + begin, (uint32_t)length)) {
         return 0;
     }
@@ -63,7 +67,7 @@ static size_t take_piece(vault_t *vault, chain_t *chain) {
 /* The next block that may follow the chain's last but one; false when there is none. */
 static bool next_candidate(vault_t *vault, chain_t *chain) {
     uint8_t *const last = &chain->block[chain->pieces - 1u];
-    while (++*last < STORE_BLOCKS) {
+    while (++*last < store_blocks(vault->store.hal)) {
         if (first_word(vault, *last) == last[-1]) {
             return chain->tries++ < TRIES_MAX;
         }
@@ -153,7 +157,7 @@ salvage_origin_t salvage_origin(const salvage_t *salvage, critical_t kind) {
 /* A trial's file begins with the words that name it; its number outlives the counter. */
 static void note_log(const vault_t *vault, salvage_t *salvage) {
     const size_t key_bytes = sizeof LOG_TRIAL - 1u;
-    for (size_t at = 0; at + key_bytes + 4u <= STORE_BLOCK_BYTES; at++) {
+    for (size_t at = 0; at + key_bytes + 4u <= LOG_HEADER_BYTES; at++) {
         if (memcmp(vault->record + at, LOG_TRIAL, key_bytes) == 0) {
             salvage_note_trial(salvage, bytes_get_u32(vault->record + at + key_bytes));
             return;
@@ -298,7 +302,7 @@ static void drop_doubtful(salvage_t *salvage) {
 
 void salvage_look(vault_t *vault, salvage_t *salvage) {
     for (uint32_t pass = 0; pass < 2u; pass++) {
-        for (uint32_t block = FIRST_BLOCK; block < STORE_BLOCKS; block++) {
+        for (uint32_t block = FIRST_BLOCK; block < store_blocks(vault->store.hal); block++) {
             hal_watchdog_feed(vault->store.hal);
             consider(vault, salvage, (uint8_t)block, pass == 1u);
         }

@@ -33,7 +33,7 @@ typedef struct {
     witness_t witness;            /* entries of 0: nothing is known */
     uint8_t best[CRITICAL_COUNT]; /* first block of the newest; 0 = none */
     bool exact[CRITICAL_COUNT];   /* that is the one which the witness names */
-    uint8_t keep[STORE_BLOCKS / 8u];
+    uint8_t keep[STORE_BLOCK_SET_BYTES];
     salvage_origin_t origin, learned;
     bool origin_fixed; /* by a file that is whole */
     bool anything;     /* there were records or trials */

@@ -52,12 +52,11 @@ store_result_t store_result(int code) {
 /* littlefs tries every free block and then says there is no space. That is so when more blocks are
  * free than any one call may write, or no more than pages failed. */
 static bool pages_refused(store_t *store) {
-    const uint32_t failed_bytes = store->pages_failed * STORE_BLOCK_BYTES;
-    if (failed_bytes == 0) {
+    if (store->pages_failed == 0) {
         return false;
     }
-    const uint32_t free_bytes = store_free_bytes(store);
-    return free_bytes >= STORE_RESERVE_BYTES || failed_bytes >= free_bytes;
+    const uint32_t free_blocks = store_free_bytes(store) / store_block_bytes(store->hal);
+    return free_blocks >= STORE_RESERVE_BLOCKS || store->pages_failed >= free_blocks;
 }
 
 bool store_take_damage(store_t *store) {
@@ -138,37 +137,31 @@ store_result_t store_finish(store_t *store) {
     }
     memset(store->keep, 0, sizeof store->keep);
     for (size_t f = 0; f < sizeof folders / sizeof folders[0]; f++) {
-        for (uint32_t i = 0; i < STORE_BLOCKS && remove_leftover(store, folders[f]); i++) {
+        for (uint32_t i = 0; i < STORE_BLOCKS_MAX && remove_leftover(store, folders[f]); i++) {
         }
     }
     return store->mounted ? result : STORE_IO;
 }
 
-/* Blocks in use. littlefs visits those of a folder more than once. */
-typedef struct {
-    uint8_t seen[STORE_BLOCKS / 8u];
-    uint32_t data;
-    uint8_t raw_taken;
-} usage_t;
-
+/* littlefs visits the blocks of a folder more than once. */
 static int note_block(void *context, lfs_block_t block) {
-    usage_t *usage = context;
+    store_usage_t *usage = context;
     const uint8_t bit = (uint8_t)(1u << block % 8u);
-    if (block >= STORE_BLOCKS || (usage->seen[block / 8u] & bit) != 0u) {
+    if (block >= usage->blocks || (usage->seen[block / 8u] & bit) != 0u) {
         return LFS_ERR_OK;
     }
     usage->seen[block / 8u] |= bit;
-    if (block < STORE_DATA_BLOCKS) {
+    if (block < usage->data_blocks) {
         usage->data++;
     } else {
-        usage->raw_taken |= (uint8_t)(1u << (block - STORE_DATA_BLOCKS));
+        usage->raw_taken |= (uint8_t)(1u << (block - usage->data_blocks));
     }
     return LFS_ERR_OK;
 }
 
-/* False when the filesystem cannot be walked: then nothing is free. */
-static bool find_usage(store_t *store, usage_t *usage) {
-    *usage = (usage_t){0};
+bool store_find_usage(store_t *store, store_usage_t *usage) {
+    *usage = (store_usage_t){.blocks = store_blocks(store->hal),
+                             .data_blocks = store_data_blocks(store->hal)};
     return store_begin(store) && lfs_fs_traverse(&store->lfs, note_block, usage) >= 0;
 }
 
@@ -176,14 +169,27 @@ static bool find_usage(store_t *store, usage_t *usage) {
  * they stay readable, and blockdev.c refuses to program them. */
 static void reserve_raw(store_t *store) {
     lfs_t *lfs = &store->lfs;
-    usage_t usage;
-    store->raw_taken = find_usage(store, &usage) ? usage.raw_taken : UINT8_MAX;
+    store_usage_t usage;
+    store->config.compact_thresh = blockdev_compact_bytes(store->hal);
+    store->raw_taken = store_find_usage(store, &usage) ? usage.raw_taken : UINT8_MAX;
     if (store->raw_taken == 0) {
-        lfs->block_count = STORE_DATA_BLOCKS;
-        lfs->lookahead.start %= STORE_DATA_BLOCKS;
+        lfs->block_count = store_data_blocks(store->hal);
+        lfs->lookahead.start %= lfs->block_count;
         lfs->lookahead.next = lfs->lookahead.size = 0;
-        lfs->lookahead.ckpoint = STORE_DATA_BLOCKS;
+        lfs->lookahead.ckpoint = (lfs_block_t)lfs->block_count;
     }
+}
+
+static bool is_power_of_two(uint32_t value) { return value != 0 && (value & (value - 1u)) == 0; }
+
+/* A page is programmed in whole units, and a block erased in whole units. */
+store_result_t store_fits(const hal_t *hal) {
+    const hal_flash_geometry_t *flash = hal_flash_geometry(hal);
+    if (!is_power_of_two(flash->program_bytes) || !is_power_of_two(flash->erase_bytes) ||
+        flash->program_bytes > STORE_PAGE_BYTES || flash->erase_bytes < flash->program_bytes) {
+        return STORE_BAD_GEOMETRY;
+    }
+    return store_blocks(hal) < STORE_BLOCKS_MIN ? STORE_TOO_SMALL : STORE_OK;
 }
 
 store_result_t store_renew(store_t *store, hal_t *hal, const uint8_t *keep) {
@@ -203,13 +209,29 @@ store_result_t store_renew(store_t *store, hal_t *hal, const uint8_t *keep) {
     return store_written(store, code);
 }
 
+/* The commit that wavers was left out (blockdev.c). Its folder goes to a block that stays as it
+ * is, before anything else is written: found the next time, the commit would name blocks that hold
+ * other things by then. */
+static void settle_wavering(store_t *store, int mounted) {
+    if (store_erases_first(store->hal) && store->wavers && mounted == LFS_ERR_OK) {
+        (void)lfs_fs_gc(&store->lfs);
+    }
+}
+
 store_result_t store_find(store_t *store, hal_t *hal) {
+    const store_result_t fits = store_fits(hal);
+    if (fits != STORE_OK) {
+        memset(store, 0, sizeof *store);
+        store->hal = hal;
+        return fits;
+    }
     int code = LFS_ERR_CORRUPT;
     for (uint32_t i = 0; i < MOUNT_TRIES && code == LFS_ERR_CORRUPT; i++) {
         memset(store, 0, sizeof *store);
         blockdev_configure(store, hal);
         code = lfs_mount(&store->lfs, &store->config);
     }
+    settle_wavering(store, code);
     store->mounted = code == LFS_ERR_OK;
     struct lfs_info info;
     if (store->mounted && lfs_stat(&store->lfs, FOLDER_TRIALS, &info) == LFS_ERR_NOENT) {
@@ -405,7 +427,7 @@ store_result_t store_walk(store_t *store, const char *folder, uint32_t first, st
     if (!store_begin(store)) {
         return STORE_IO;
     }
-    if (first > HAL_FLASH_SIZE_BYTES) {
+    if (first > STORE_BYTES_MAX) {
         return STORE_OK;
     }
     lfs_dir_t dir;
@@ -442,12 +464,14 @@ store_result_t store_entry(store_t *store, const char *folder, uint32_t index,
 }
 
 uint32_t store_free_bytes(store_t *store) {
-    usage_t usage;
-    return find_usage(store, &usage) ? (STORE_DATA_BLOCKS - usage.data) * STORE_BLOCK_BYTES : 0;
+    store_usage_t usage;
+    return store_find_usage(store, &usage)
+               ? (usage.data_blocks - usage.data) * store_block_bytes(store->hal)
+               : 0;
 }
 
 bool store_raw_taken(const store_t *store, uint32_t block) {
-    return (store->raw_taken & 1u << (block - STORE_DATA_BLOCKS)) != 0u;
+    return (store->raw_taken & 1u << (block - store_data_blocks(store->hal))) != 0u;
 }
 
 store_result_t store_rewrite_folders(store_t *store) {
@@ -456,7 +480,7 @@ store_result_t store_rewrite_folders(store_t *store) {
     for (uint32_t i = 0; i < 2u && code >= 0; i++) {
         code = lfs_fs_gc(&store->lfs);
     }
-    blockdev_configure(store, store->hal);
+    store->config.compact_thresh = blockdev_compact_bytes(store->hal);
     return store_written(store, code);
 }
 
@@ -521,10 +545,10 @@ store_result_t store_make_space_step(store_t *store, uint32_t bytes, uint32_t ke
     if (!store_begin(store)) {
         return STORE_IO;
     }
-    if (bytes > HAL_FLASH_SIZE_BYTES) {
+    if (bytes > STORE_BYTES_MAX) {
         return STORE_NO_SPACE;
     }
-    if (store_free_bytes(store) < bytes + STORE_RESERVE_BYTES) {
+    if (store_free_bytes(store) < bytes + STORE_RESERVE_BLOCKS * store_block_bytes(store->hal)) {
         return remove_oldest_trial(store, keep_trial);
     }
     *done = true;
@@ -534,7 +558,7 @@ store_result_t store_make_space_step(store_t *store, uint32_t bytes, uint32_t ke
 store_result_t store_make_space(store_t *store, uint32_t bytes, uint32_t keep_trial) {
     store_result_t result = STORE_OK;
     bool done = false;
-    for (uint32_t i = 0; i <= 2u * STORE_BLOCKS && result == STORE_OK && !done; i++) {
+    for (uint32_t i = 0; i <= 2u * STORE_BLOCKS_MAX && result == STORE_OK && !done; i++) {
         result = store_make_space_step(store, bytes, keep_trial, &done);
     }
     return result != STORE_OK || done ? result : STORE_NO_SPACE;

@@ -15,19 +15,30 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define STORE_BLOCK_BYTES 2048u
-#define STORE_BLOCKS (HAL_FLASH_SIZE_BYTES / STORE_BLOCK_BYTES)
+/* A block of the store is 2048 bytes, or an erase unit of the flash where that is larger. There are
+ * as many as fit, at most STORE_BLOCKS_MAX: of a larger flash the first part is used. The maximum
+ * keeps block numbers in a byte. */
+#define STORE_BLOCK_MIN_BYTES 2048u
+#define STORE_BLOCKS_MAX 255u
+#define STORE_BLOCK_SET_BYTES ((STORE_BLOCKS_MAX + 7u) / 8u) /* a bit for each block */
+/* What is written at once, in one or more program units of the flash. */
+#define STORE_PAGE_BYTES 256u
 /* The superblock counts all blocks, as earlier firmware wrote it (littlefs mounts no other count),
- * but only the first STORE_DATA_BLOCKS are handed out: behind them are raw pages (witness.h). */
+ * but the last STORE_RAW_BLOCKS are never handed out: they are raw pages (witness.h). */
 #define STORE_RAW_BLOCKS 5u
-#define STORE_DATA_BLOCKS (STORE_BLOCKS - STORE_RAW_BLOCKS)
-#define STORE_CACHE_BYTES 256u
-#define STORE_LOOKAHEAD_BYTES 16u
+#define STORE_CACHE_BYTES STORE_PAGE_BYTES
+#define STORE_LOOKAHEAD_BYTES STORE_BLOCK_SET_BYTES
 #define STORE_PATH_BYTES 40u /* longest path, with its final zero; 4 less for store_replace */
 
-/* What store_make_space keeps free beyond what it is asked for: learned input, pending trial and
- * the filesystem's own blocks must find room after a trial filled all the rest. */
-#define STORE_RESERVE_BYTES (10u * STORE_BLOCK_BYTES)
+/* Blocks that store_make_space keeps free beyond what it is asked for: learned input, pending trial
+ * and the filesystem's own blocks must find room after a trial filled all the rest. */
+#define STORE_RESERVE_BLOCKS 10u
+
+/* Fewer blocks are refused: the raw ones, 8 of folders and superblocks, 13 of records, those kept
+ * free, and STORE_TRIAL_BLOCKS of a trial of 40 beats that is logged on a flash which erases first:
+ * 6 of data, one for each sync of its 76 s, and what its folder may take (store/erase_ahead.h). */
+#define STORE_TRIAL_BLOCKS 44u
+#define STORE_BLOCKS_MIN (STORE_RAW_BLOCKS + 8u + 13u + STORE_RESERVE_BLOCKS + STORE_TRIAL_BLOCKS)
 
 typedef enum {
     STORE_OK = 0,
@@ -35,7 +46,9 @@ typedef enum {
     STORE_NO_SPACE = 2,
     STORE_CORRUPT = 3, /* content does not match its own length or CRC */
     STORE_IO = 4,      /* flash or filesystem failure */
-    STORE_BAD_ARGUMENT = 5
+    STORE_BAD_ARGUMENT = 5,
+    STORE_TOO_SMALL = 6,   /* the flash has fewer than STORE_BLOCKS_MIN blocks */
+    STORE_BAD_GEOMETRY = 7 /* units of sizes that no store can be made of */
 } store_result_t;
 
 /* An open file; the caller owns it and must not move it while open. */
@@ -56,7 +69,11 @@ typedef struct {
     uint8_t program_cache[STORE_CACHE_BYTES];
     uint8_t lookahead[STORE_LOOKAHEAD_BYTES];
     uint8_t file_cache[STORE_CACHE_BYTES]; /* for the short-lived files of this module */
-    uint8_t keep[STORE_BLOCKS / 8u]; /* blocks not to be written, one bit each; see store_renew */
+    uint8_t keep[STORE_BLOCK_SET_BYTES];   /* blocks not to be written; see store_renew */
+    uint8_t blank[STORE_BLOCK_SET_BYTES];  /* erased since the mount, and not programmed since */
+    bool erase_forbidden;                  /* store/erase_ahead.h */
+    uint32_t erases_refused;               /* for that, since the mount */
+    bool wavers;                           /* what the mount read did not stay the same */
     bool mounted;
     store_file_t *reader; /* open for reading; NULL = none */
     char reader_path[STORE_PATH_BYTES];
@@ -76,13 +93,40 @@ typedef struct {
     bool directory;
 } store_entry_t;
 
+/* The blocks of a store on |hal|'s flash, raw ones included, and their size. */
+static inline uint32_t store_block_bytes(const hal_t *hal) {
+    const uint32_t erase_bytes = hal_flash_geometry(hal)->erase_bytes;
+    return erase_bytes > STORE_BLOCK_MIN_BYTES ? erase_bytes : STORE_BLOCK_MIN_BYTES;
+}
+
+static inline uint32_t store_blocks(const hal_t *hal) {
+    const uint32_t fit = hal_flash_geometry(hal)->size_bytes / store_block_bytes(hal);
+    return fit < STORE_BLOCKS_MAX ? fit : STORE_BLOCKS_MAX;
+}
+
+/* Whether blocks must be erased before they are programmed: where not, all that has to do with it
+ * does nothing. */
+static inline bool store_erases_first(const hal_t *hal) {
+    return !hal_flash_geometry(hal)->program_erases;
+}
+
+/* Those that littlefs hands out. */
+static inline uint32_t store_data_blocks(const hal_t *hal) {
+    return store_blocks(hal) - STORE_RAW_BLOCKS;
+}
+
 typedef enum { STORE_READ = 0, STORE_WRITE_NEW = 1, STORE_APPEND = 2 } store_mode_t;
+
+/* STORE_OK when a store can be made of |hal|'s flash, else STORE_TOO_SMALL or STORE_BAD_GEOMETRY.
+ */
+store_result_t store_fits(const hal_t *hal);
 
 /* Mounting, in steps, for a caller who wants to save what lies in the blocks before they are used
  * anew. |store| must not move while mounted. Every other call answers STORE_IO while not mounted.
  *
- * store_find mounts the filesystem that is there. STORE_CORRUPT: there is none, one that lacks a
- * folder (littlefs mounts only when every folder is readable), or one whose making a cut ended.
+ * store_find mounts the filesystem that is there, once store_fits. STORE_CORRUPT: there is none,
+ * one that lacks a folder (littlefs mounts only when every folder is readable), or one whose making
+ * a cut ended.
  *
  * store_renew makes an empty one and mounts it. Blocks whose bit (b % 8 of byte b / 8) is set in
  * |keep| (NULL: none; 0 and 1 cannot be kept) are not written before store_finish: until then the

@@ -71,7 +71,7 @@ store_result_t store_write_at(store_t *store, store_file_t *file, uint32_t offse
                               const void *bytes, size_t length) {
     REQUIRE(file->open);
     (void)store_begin(store);
-    if (offset > HAL_FLASH_SIZE_BYTES || length > HAL_FLASH_SIZE_BYTES) {
+    if (offset > STORE_BYTES_MAX || length > STORE_BYTES_MAX) {
         return STORE_BAD_ARGUMENT;
     }
     return write_from(store, file, (lfs_soff_t)offset, LFS_SEEK_SET, bytes, length);

@@ -1,11 +1,25 @@
-/* Shared by store.c, store_file.c and log_reader.c only. */
+/* Shared by store.c, store_file.c, erase_ahead.c and log_reader.c only. */
 #ifndef STORE_STORE_INTERNAL_H
 #define STORE_STORE_INTERNAL_H
 
 #include "store/store.h"
 
+/* More than any store has, and far from the end of 32 bits. */
+#define STORE_BYTES_MAX 0x40000000u
+
 #define STORE_NEW_SUFFIX ".new"
 #define STORE_NEW_SUFFIX_BYTES 4u
+
+/* Blocks in use. */
+typedef struct {
+    uint8_t seen[STORE_BLOCK_SET_BYTES];
+    uint32_t blocks, data_blocks; /* that there are */
+    uint32_t data;                /* of the latter in use */
+    uint8_t raw_taken;
+} store_usage_t;
+
+/* False when the filesystem cannot be walked: then nothing is free. */
+bool store_find_usage(store_t *store, store_usage_t *usage);
 
 /* Begins a call: counts its reads from 0. Whether the store is mounted. */
 bool store_begin(store_t *store);

@@ -93,13 +93,17 @@ void trial_log_path(uint32_t trial, char *out) {
     strcpy(at, ".ulg");
 }
 
+uint32_t trial_log_syncs_bound(uint32_t duration_s) {
+    return duration_s / (TRIAL_LOG_SYNC_US / 1000000u) + 4u;
+}
+
 uint32_t trial_log_size_bound(uint16_t beats, uint32_t duration_s) {
     const uint32_t per_second = SLOTS_PER_S * SLOT_BITS + BATTERY_BITS;
     const uint32_t bits = DEFINITIONS_BITS + TRIAL_LOG_TEXTS * TEXT_BITS + ONCE_BITS +
                           2u * beats * BEAT_BITS + (duration_s + 1u) * per_second;
     const uint32_t payload = bits / 8u + 1u;
-    const uint32_t syncs = duration_s / (TRIAL_LOG_SYNC_US / 1000000u) + 4u;
-    const uint32_t pieces = payload / PIECE_LEAST_BYTES + 1u + LONG_MESSAGES + syncs;
+    const uint32_t pieces =
+        payload / PIECE_LEAST_BYTES + 1u + LONG_MESSAGES + trial_log_syncs_bound(duration_s);
     return PACKED_HEADER_BYTES + payload + pieces * PIECE_OVERHEAD_BYTES;
 }
 

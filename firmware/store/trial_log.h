@@ -68,6 +68,9 @@ void trial_log_path(uint32_t trial, char *out);
  * values that cannot be packed; below 21 KB for 40 beats of 1 s and 6 s of settling. */
 uint32_t trial_log_size_bound(uint16_t beats, uint32_t duration_s);
 
+/* Upper bound of its syncs in so long a time. */
+uint32_t trial_log_syncs_bound(uint32_t duration_s);
+
 /* Makes the file (over an older one of that number) and writes the header and the first
  * definitions: formats and trial info. The first poll or record writes the rest, all parameters, a
  * poll after that syncs them; until then |params| must stay as it is. */

@@ -21,7 +21,7 @@
 #define PAST_PATH "/past0.bin" /* to "/past7.bin" */
 #define VAULT_PAST_PLACES 8u
 /* Of the longest past trial, which is written anew beside the one it replaces. */
-#define VAULT_PAST_ROOM_BYTES (3u * STORE_BLOCK_BYTES)
+#define VAULT_PAST_ROOM_BLOCKS 3u
 
 /* Told before a record is read or written, which may take a while: the watchdog's owner. */
 typedef void (*vault_alive_t)(void *context);

@@ -8,19 +8,28 @@
  * commit, holds the newest generation. A record older than its witness has gone back; one that is
  * newer was stored just before a cut.
  *
- * It lies in raw pages at the end of the storage flash, in the blocks from STORE_DATA_BLOCKS on,
- * which littlefs never programs and nothing in littlefs points to:
+ * It lies in raw pages at the end of the store, in its last STORE_RAW_BLOCKS blocks, which littlefs
+ * never programs and nothing in littlefs points to. Where programming erases (hal/flash.h), with
+ * blocks of 8 pages:
  *
  *   pages 0-3     kept free for the state of a firmware update
  *   pages 4-21    ring of 18 pages, copy A
  *   pages 22-39   the same, copy B; the copies of a version never share a block
  *
- * A version of the witness is one page, written to place generation % 18 of both copies. One
- * flipped bit damages one copy at most. A store that an earlier firmware filled may have files in
- * these blocks: they stay, and their pages are not used until the files are gone.
+ * Where blocks are erased first:
  *
- * Main loop only. A write takes two page writes, 20 ms at most; reading the newest page 2 x 256
- * bytes.
+ *   block 0       kept free for the state of a firmware update
+ *   blocks 1, 2   ring of all their pages, copy A
+ *   blocks 3, 4   the same, copy B
+ *
+ * A version of the witness is one page, written to place generation % places of both copies. One
+ * flipped bit damages one copy at most. There, a block is erased when its first page is due, and
+ * never when it alone holds the newest version. A page that a cut left half programmed is passed
+ * over. A store that an earlier firmware filled may have files in these blocks: they stay, and
+ * their pages are not used until the files are gone.
+ *
+ * Main loop only. A write takes two page writes, 20 ms at most, and where blocks are erased first
+ * two erases once in as many versions as a block has pages; reading the newest page 2 x 256 bytes.
  */
 #ifndef STORE_WITNESS_H
 #define STORE_WITNESS_H
@@ -31,7 +40,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define WITNESS_PLACES 18u /* of each copy */
+#define WITNESS_PLACES 18u /* of each copy where programming erases */
 #define WITNESS_ENTRIES 6u
 #define WITNESS_NOTE_BYTES 136u
 
@@ -49,7 +58,7 @@ typedef struct {
 } witness_t;
 
 /* The newest intact version into |witness|, and store->generation. False, and zeros, when there is
- * none. Looks at the whole ring: WITNESS_PLACES x 2 pages. */
+ * none. Looks at both rings. */
 bool witness_find(store_t *store, witness_t *witness);
 
 /* The version that store->generation names, or witness_find() when it cannot be read. */

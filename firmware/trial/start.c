@@ -6,6 +6,7 @@
 #include "learn/reference.h"
 #include "monitor/monitor.h"
 #include "settings/settings.h"
+#include "store/erase_ahead.h"
 #include "trial/settle.h"
 
 #define START_STALE_S 2.0f
@@ -140,15 +141,17 @@ static fault_t count(trial_t *trial) {
 
 /* Everything that writes flash and can be done before the tail moves. */
 static fault_t prepare_store(trial_t *trial) {
-    if (!preparation_make_room(&trial->preparation)) {
-        return FAULT_WRITE_FAILED;
+    fault_t fault = preparation_make_room(&trial->preparation);
+    if (fault == FAULT_NONE) { /* armed long ago, perhaps */
+        fault = reserve_key(trial);
     }
-    /* Armed long ago, perhaps. */
-    fault_t fault = reserve_key(trial);
     if (fault == FAULT_NONE) {
         fault = count(trial);
     }
-    return fault == FAULT_NONE ? preparation_save_guess(&trial->preparation) : fault;
+    if (fault == FAULT_NONE) {
+        fault = preparation_save_guess(&trial->preparation);
+    }
+    return fault == FAULT_NONE ? preparation_erase(&trial->preparation) : fault;
 }
 
 static void begin(trial_t *trial, uint32_t number) {
@@ -164,6 +167,7 @@ static void begin(trial_t *trial, uint32_t number) {
         .rate_scale_sigma = params->value[PARAM_IMU_SCALE_SD],
     };
     workspace_t *workspace = &learner->vault->workspace;
+    erase_ahead_forbid(&learner->vault->store, true);
     trial_run_begin(&trial->run, &plan, &workspace_take(workspace, WORKSPACE_ESTIMATE)->estimate);
     const vault_record_t params_record = vault_stored_params(learner->vault);
     control_offer(&trial->control, params_record.bytes, params_record.length);

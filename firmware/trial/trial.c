@@ -6,6 +6,7 @@
 #include "link/build_id.h"
 #include "link/trial_reports.h"
 #include "settings/settings.h"
+#include "store/erase_ahead.h"
 #include "trial/settle.h"
 
 #include <math.h>
@@ -202,6 +203,7 @@ bool trial_finish(trial_t *trial, uint64_t now_us) {
         trial_feed_watchdog(trial);
     }
     tell_refusal(trial, now_us);
+    erase_ahead_forbid(&vault_of(trial)->store, false);
     const bool stored = trial_run_finish(&trial->run, vault_of(trial)) == STORE_OK;
     workspace_give_back(&vault_of(trial)->workspace, WORKSPACE_ESTIMATE);
     if (!stored) {
@@ -211,22 +213,10 @@ bool trial_finish(trial_t *trial, uint64_t now_us) {
     return stored;
 }
 
-static const char *board_name(hal_board_kind_t kind) {
-    switch (kind) {
-    case HAL_BOARD_SIMULATED:
-        return "simulated";
-    case HAL_BOARD_EMULATED:
-        return "emulated";
-    case HAL_BOARD_FISH:
-        break;
-    }
-    return "fish";
-}
-
 static void begin_log(trial_t *trial, uint64_t start_us) {
     trial_log_header_t header = {
         .build_id = link_build_id(),
-        .board = board_name(hal_board_kind(trial->with.hal)),
+        .board = hal_board_name(trial->with.hal),
     };
     trial_run_imu_t imu = {
         .alive = trial->with.imu->driver.state == IMU_STREAMING,

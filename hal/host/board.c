@@ -192,25 +192,42 @@ hal_serial_errors_t hal_serial_errors(const hal_t *hal, hal_port_t port) {
     return hal->received[port].errors;
 }
 
+/* As the fish's: pages that are erased and written in one operation. */
+const hal_flash_geometry_t *hal_flash_geometry(const hal_t *hal) {
+    static const hal_flash_geometry_t geometry = {
+        .size_bytes = HOST_FLASH_BYTES,
+        .erase_bytes = HOST_FLASH_PAGE_BYTES,
+        .program_bytes = HOST_FLASH_PAGE_BYTES,
+        .program_erases = true,
+    };
+    (void)hal;
+    return &geometry;
+}
+
 bool hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
-    if (offset > HAL_FLASH_SIZE_BYTES || length > HAL_FLASH_SIZE_BYTES - offset) {
+    if (offset > HOST_FLASH_BYTES || length > HOST_FLASH_BYTES - offset) {
         return false;
     }
     memcpy(out, hal->flash + offset, length);
     return true;
 }
 
-bool hal_flash_write_page(hal_t *hal, uint32_t offset, const void *page) {
-    if (offset % HAL_FLASH_PAGE_BYTES != 0 || offset >= HAL_FLASH_SIZE_BYTES) {
+bool hal_flash_erase(hal_t *hal, uint32_t offset) {
+    (void)hal;
+    return offset % HOST_FLASH_PAGE_BYTES == 0 && offset < HOST_FLASH_BYTES;
+}
+
+bool hal_flash_program(hal_t *hal, uint32_t offset, const void *bytes) {
+    if (offset % HOST_FLASH_PAGE_BYTES != 0 || offset >= HOST_FLASH_BYTES) {
         return false;
     }
-    memcpy(hal->flash + offset, page, HAL_FLASH_PAGE_BYTES);
+    memcpy(hal->flash + offset, bytes, HOST_FLASH_PAGE_BYTES);
     return true;
 }
 
-hal_board_kind_t hal_board_kind(const hal_t *hal) {
+const char *hal_board_name(const hal_t *hal) {
     (void)hal;
-    return HAL_BOARD_SIMULATED;
+    return "simulated";
 }
 
 hal_reset_cause_t hal_reset_cause(const hal_t *hal) { return hal->reset_cause; }
@@ -220,6 +237,12 @@ bool hal_crash_read(const hal_t *hal, hal_crash_t *out) {
     (void)hal;
     (void)out;
     return false;
+}
+
+const char *hal_crash_register(const hal_t *hal, uint32_t index) {
+    (void)hal;
+    (void)index;
+    return "";
 }
 
 void hal_crash_forget(hal_t *hal) { (void)hal; }

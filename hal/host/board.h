@@ -2,6 +2,7 @@
 #ifndef HOST_BOARD_H
 #define HOST_BOARD_H
 
+#include "flash_size.h"
 #include "hal/clock.h"
 #include "hal/flash.h"
 #include "hal/guard.h"
@@ -44,7 +45,7 @@ struct hal {
     bool led;
     bool irq_locked;
     uint64_t id;
-    uint8_t flash[HAL_FLASH_SIZE_BYTES];
+    uint8_t flash[HOST_FLASH_BYTES];
 };
 
 /* Links of |link_bytes_per_s|, 0 = unlimited; an empty flash. |hal| is all zero before. */

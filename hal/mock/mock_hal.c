@@ -19,11 +19,56 @@ _Noreturn void panic(const char *where) {
     abort();
 }
 
+/* Sizes and times of the data sheets: SAM3X/A (Atmel-11057), W25Q64JV, W25Q128JV. */
+static const hal_flash_geometry_t geometry = {
+    .size_bytes = MOCK_FLASH_SIZE_BYTES,
+    .erase_bytes = MOCK_FLASH_ERASE_BYTES,
+    .program_bytes = MOCK_FLASH_PROGRAM_BYTES,
+    .program_erases = !MOCK_FLASH_ERASES_FIRST,
+#if MOCK_FLASH == MOCK_FLASH_SAM3X
+    .program_max_us = 10000,
+#elif MOCK_FLASH == MOCK_FLASH_NOR_4K
+    .erase_typical_us = 45000,
+    .erase_max_us = 400000,
+    .program_max_us = 3000,
+#else
+    .erase_typical_us = 150000,
+    .erase_max_us = 2000000,
+    .program_max_us = 3000,
+#endif
+};
+
+const char *mock_flash_name(void) {
+    static const char *const names[] = {[MOCK_FLASH_SAM3X] = "SAM3X8E, pages of 256 bytes",
+                                        [MOCK_FLASH_NOR_4K] = "W25Q64JV, sectors of 4 KiB",
+                                        [MOCK_FLASH_NOR_64K] = "W25Q128JV, blocks of 64 KiB"};
+    return names[MOCK_FLASH];
+}
+
+void mock_flash_load(hal_t *to, const uint8_t from[MOCK_FLASH_BYTES], bool all) {
+    for (uint32_t at = 0; at < MOCK_FLASH_BYTES; at += MOCK_PIECE_BYTES) {
+        bool *changed = &to->flash_changed[at / MOCK_PIECE_BYTES];
+        if (all || *changed) {
+            memcpy(to->flash + at, from + at, MOCK_PIECE_BYTES);
+            *changed = false;
+        }
+    }
+}
+
+void mock_flash_copy(hal_t *to, hal_t *from, bool all) {
+    for (uint32_t piece = 0; piece < MOCK_FLASH_BYTES / MOCK_PIECE_BYTES; piece++) {
+        to->flash_changed[piece] = to->flash_changed[piece] || from->flash_changed[piece];
+        from->flash_changed[piece] = false;
+    }
+    mock_flash_load(to, from->flash, all);
+}
+
 void mock_hal_init(hal_t *hal) {
     memset(hal, 0, sizeof *hal);
+    memset(hal->flash_changed, true, sizeof hal->flash_changed);
     memset(hal->flash, 0xFF, sizeof hal->flash);
     hal->battery_mv = 8000;
-    hal->kind = HAL_BOARD_SIMULATED;
+    hal->board_name = "simulated";
 }
 
 void mock_feed(hal_t *hal, hal_port_t port, const void *bytes, size_t length) {
@@ -97,8 +142,16 @@ hal_serial_errors_t hal_serial_errors(const hal_t *hal, hal_port_t port) {
     return hal->serial_errors[port];
 }
 
+const hal_flash_geometry_t *hal_flash_geometry(const hal_t *hal) {
+    return hal->flash_geometry.size_bytes != 0 ? &hal->flash_geometry : &geometry;
+}
+
+static bool out_of_flash(uint32_t offset, uint32_t length) {
+    return offset > MOCK_FLASH_BYTES || length > MOCK_FLASH_BYTES - offset;
+}
+
 bool hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
-    if (offset > HAL_FLASH_SIZE_BYTES || length > HAL_FLASH_SIZE_BYTES - offset) {
+    if (out_of_flash(offset, length)) {
         return false;
     }
     memcpy(out, hal->flash + offset, length);
@@ -108,22 +161,60 @@ bool hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
     return true;
 }
 
-bool hal_flash_write_page(hal_t *hal, uint32_t offset, const void *page) {
-    if (offset % HAL_FLASH_PAGE_BYTES != 0 || offset >= HAL_FLASH_SIZE_BYTES) {
+static void note_change(hal_t *hal, uint32_t offset) {
+    hal->flash_changed[offset / MOCK_PIECE_BYTES] = true;
+}
+
+bool hal_flash_erase(hal_t *hal, uint32_t offset) {
+    if (offset % MOCK_FLASH_ERASE_BYTES != 0 || out_of_flash(offset, MOCK_FLASH_ERASE_BYTES)) {
+        return false;
+    }
+    if (!MOCK_FLASH_ERASES_FIRST) {
+        return true;
+    }
+    if (hal->flash_fail_after != 0 && hal->flash_writes >= hal->flash_fail_after) {
+        return false;
+    }
+    hal->flash_erases++;
+    note_change(hal, offset);
+    if (hal->flash_erase != NULL) {
+        return hal->flash_erase(hal, offset);
+    }
+    memset(hal->flash + offset, 0xFF, MOCK_FLASH_ERASE_BYTES);
+    return true;
+}
+
+/* As a chip that erases first wants a unit that is to be programmed. */
+static bool is_erased(const hal_t *hal, uint32_t offset) {
+    for (uint32_t i = 0; i < MOCK_FLASH_PROGRAM_BYTES; i++) {
+        if (hal->flash[offset + i] != 0xFFu) {
+            return false;
+        }
+    }
+    return true;
+}
+
+bool hal_flash_program(hal_t *hal, uint32_t offset, const void *bytes) {
+    if (offset % MOCK_FLASH_PROGRAM_BYTES != 0 || out_of_flash(offset, MOCK_FLASH_PROGRAM_BYTES)) {
         return false;
     }
     if (hal->flash_fail_after != 0 && hal->flash_writes >= hal->flash_fail_after) {
         return false;
     }
-    hal->flash_writes++;
-    if (hal->flash_write != NULL) {
-        return hal->flash_write(hal, offset, page);
+    if (MOCK_FLASH_ERASES_FIRST && !is_erased(hal, offset)) {
+        hal->flash_misuses++;
+        return false;
     }
-    memcpy(hal->flash + offset, page, HAL_FLASH_PAGE_BYTES);
+    hal->flash_writes++;
+    note_change(hal, offset);
+    if (hal->flash_write != NULL) {
+        return hal->flash_write(hal, offset, bytes);
+    }
+    memcpy(hal->flash + offset, bytes, MOCK_FLASH_PROGRAM_BYTES);
     return true;
 }
 
-hal_board_kind_t hal_board_kind(const hal_t *hal) { return hal->kind; }
+const char *hal_board_name(const hal_t *hal) { return hal->board_name; }
 hal_reset_cause_t hal_reset_cause(const hal_t *hal) { return hal->reset_cause; }
 
 bool hal_crash_read(const hal_t *hal, hal_crash_t *out) {
@@ -131,6 +222,12 @@ bool hal_crash_read(const hal_t *hal, hal_crash_t *out) {
         *out = hal->crash;
     }
     return hal->crashed;
+}
+
+const char *hal_crash_register(const hal_t *hal, uint32_t index) {
+    (void)hal;
+    static const char *const names[] = {"a0", "cause"};
+    return index < sizeof names / sizeof names[0] ? names[index] : "";
 }
 
 void hal_crash_forget(hal_t *hal) { hal->crashed = false; }

@@ -15,6 +15,38 @@
 #include <setjmp.h>
 #include <stdbool.h>
 
+/* Which flash the board has, chosen when a test is built. */
+#define MOCK_FLASH_SAM3X 1   /* bank 1 of the SAM3X8E: programming erases, in pages */
+#define MOCK_FLASH_NOR_4K 2  /* Winbond W25Q64JV, 8 MiB: sectors of 4 KiB */
+#define MOCK_FLASH_NOR_64K 3 /* Winbond W25Q128JV, 16 MiB: blocks of 64 KiB */
+#ifndef MOCK_FLASH
+#define MOCK_FLASH MOCK_FLASH_SAM3X
+#endif
+
+#define MOCK_FLASH_PROGRAM_BYTES 256u
+#if MOCK_FLASH == MOCK_FLASH_SAM3X
+#define MOCK_FLASH_SIZE_BYTES (256u * 1024u)
+#define MOCK_FLASH_ERASE_BYTES MOCK_FLASH_PROGRAM_BYTES
+#elif MOCK_FLASH == MOCK_FLASH_NOR_4K
+#define MOCK_FLASH_SIZE_BYTES (8u * 1024u * 1024u)
+#define MOCK_FLASH_ERASE_BYTES 4096u
+#else
+#define MOCK_FLASH_SIZE_BYTES (16u * 1024u * 1024u)
+#define MOCK_FLASH_ERASE_BYTES 65536u
+#endif
+#define MOCK_FLASH_ERASES_FIRST (MOCK_FLASH != MOCK_FLASH_SAM3X)
+
+/* What is backed by memory: 256 blocks of a store (store/store.h) at most. */
+#if MOCK_FLASH == MOCK_FLASH_NOR_4K
+#define MOCK_FLASH_BYTES (256u * MOCK_FLASH_ERASE_BYTES)
+#else
+#define MOCK_FLASH_BYTES MOCK_FLASH_SIZE_BYTES
+#endif
+#define MOCK_FLASH_PAGES (MOCK_FLASH_BYTES / MOCK_FLASH_PROGRAM_BYTES)
+
+/* Pieces of the flash whose changes are noted, to copy a large one fast. */
+#define MOCK_PIECE_BYTES (MOCK_FLASH_BYTES / 256u)
+
 #define MOCK_PORT_BYTES 65536u
 #define MOCK_PULSES 8192u
 
@@ -33,16 +65,21 @@ struct hal {
     mock_queue_t tx[HAL_PORT_COUNT]; /* filled by the firmware */
     size_t tx_limit;                 /* write space reported at most; 0 = no limit */
     hal_serial_errors_t serial_errors[HAL_PORT_COUNT];
-    uint8_t flash[HAL_FLASH_SIZE_BYTES];
-    uint32_t flash_writes;
+    hal_flash_geometry_t flash_geometry; /* size_bytes 0: that of MOCK_FLASH */
+    uint8_t flash[MOCK_FLASH_BYTES];
+    bool flash_changed[MOCK_FLASH_BYTES / MOCK_PIECE_BYTES]; /* since the last mock_flash_copy() */
+    uint32_t flash_writes;                                   /* units programmed */
+    uint32_t flash_erases;                                   /* of a chip that erases first */
+    uint32_t flash_misuses; /* programs that would set bits; refused by a chip that erases first */
     uint32_t flash_fail_after; /* writes that succeed before all fail; 0 = never fail */
     /* A flash with a life of its own, as tests/unit/flash_model.h; NULL: none fails or wears. The
-     * first writes a page, the second changes what was read. */
+     * first writes a page, the second erases a unit, the third changes what was read. */
     bool (*flash_write)(hal_t *hal, uint32_t offset, const uint8_t *page);
+    bool (*flash_erase)(hal_t *hal, uint32_t offset);
     void (*flash_read)(hal_t *hal, uint32_t offset, uint8_t *read, uint32_t length);
     void *flash_context;
     uint16_t battery_mv; /* at the pack; from 9900 on the reading is full scale */
-    hal_board_kind_t kind;
+    const char *board_name;
     hal_reset_cause_t reset_cause;
     bool clock_inexact;
     bool crashed;
@@ -61,6 +98,16 @@ struct hal {
 
 /* Flash all 0xFF, 8 V battery, time 0. */
 void mock_hal_init(hal_t *hal);
+
+/* Makes |to|'s flash what |from|'s is, if they were the same at the last copy, or |all| is copied;
+ * clears what both note as changed. */
+void mock_flash_copy(hal_t *to, hal_t *from, bool all);
+
+/* The same from bytes that do not change. */
+void mock_flash_load(hal_t *to, const uint8_t from[MOCK_FLASH_BYTES], bool all);
+
+/* The name of the flash, for what a test prints. */
+const char *mock_flash_name(void);
 
 void mock_feed(hal_t *hal, hal_port_t port, const void *bytes, size_t length);
 

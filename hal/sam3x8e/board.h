@@ -58,8 +58,4 @@ void battery_tick_isr(hal_t *hal);
 /* Whether the 3.3 V rail is high enough to write flash (supply monitor at 2.9 V). */
 bool supply_good(void);
 
-/* Forces the servo pin low at once, whatever the PWM does. Any context; at reset even before RAM is
- * set up: uses no variables. */
-void servo_kill(void);
-
 #endif

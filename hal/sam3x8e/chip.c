@@ -52,9 +52,20 @@ void chip_init(hal_t *hal) {
     pin_output(PIN_LED, false);
 }
 
-hal_board_kind_t hal_board_kind(const hal_t *hal) {
+const char *hal_board_name(const hal_t *hal) {
     const bool emulated = memcmp(hal->unique_id, EMULATOR_ID, sizeof EMULATOR_ID - 1) == 0;
-    return emulated ? HAL_BOARD_EMULATED : HAL_BOARD_FISH;
+    return emulated ? "emulated" : "fish";
+}
+
+_Noreturn void chip_restart(void) {
+    RSTC->CR = RSTC_CR_KEY_PASSWD | RSTC_CR_PERRST | RSTC_CR_PROCRST;
+    cpu_barrier();
+    for (volatile uint32_t waited = 0; waited < 10000u; waited++) {
+    }
+    SCB->AIRCR = SCB_AIRCR_VECTKEY_PASSWD | SCB_AIRCR_SYSRESETREQ;
+    cpu_barrier();
+    for (;;) {
+    }
 }
 
 hal_reset_cause_t hal_reset_cause(const hal_t *hal) { return hal->reset_cause; }

@@ -12,15 +12,12 @@
 #include <string.h>
 
 #define BANK_ADDRESS 0x000C0000u
-#define PAGE_WORDS (HAL_FLASH_PAGE_BYTES / 4u)
+#define PAGE_WORDS (STORAGE_PAGE_BYTES / 4u)
 #define LOCK_REGIONS 16u
 #define LOCK_REGION_PAGES 64u
 
 /* While a page is filled and written, whatever the clock (errata). */
 #define WRITE_WAIT_STATES 6u
-
-/* Six times what a page takes. */
-#define COMMAND_LIMIT_US 30000u
 
 #define COMMAND_ERRORS (EFC_FSR_FCMDE | EFC_FSR_FLOCKE)
 
@@ -55,7 +52,7 @@ static bool command(const hal_t *hal, uint32_t code, uint32_t argument) {
     EFC1->FCR = EFC_FCR_FKEY_PASSWD | FIELD(EFC_FCR_FARG, argument) | code;
     do {
         status |= status_or_sleep(hal);
-    } while ((status & EFC_FSR_FRDY) == 0 && hal_time_us(hal) - start_us < COMMAND_LIMIT_US);
+    } while ((status & EFC_FSR_FRDY) == 0 && hal_time_us(hal) - start_us < STORAGE_LIMIT_US);
     interrupt_disable(ID_EFC1);
     return (status & (EFC_FSR_FRDY | COMMAND_ERRORS)) == EFC_FSR_FRDY;
 }
@@ -83,7 +80,7 @@ void storage_flash_init(hal_t *hal) {
 
 bool hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
     (void)hal;
-    if (offset > HAL_FLASH_SIZE_BYTES || length > HAL_FLASH_SIZE_BYTES - offset || !ready()) {
+    if (offset > STORAGE_BYTES || length > STORAGE_BYTES - offset || !ready()) {
         return false;
     }
     memcpy(out, bank(offset), length);
@@ -91,7 +88,7 @@ bool hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
 }
 
 static bool holds(uint32_t offset, const void *page) {
-    return memcmp(bank(offset), page, HAL_FLASH_PAGE_BYTES) == 0;
+    return memcmp(bank(offset), page, STORAGE_PAGE_BYTES) == 0;
 }
 
 /* The page buffer takes whole words only, in order. |page| may lie anywhere. */
@@ -109,18 +106,23 @@ static void fill_page_buffer(uint32_t offset, const void *page) {
 static bool write_page(hal_t *hal, uint32_t offset, const void *page) {
     const uint32_t mode = begin_commands();
     fill_page_buffer(offset, page);
-    const bool done = command(hal, EFC_FCR_FCMD_EWP, offset / HAL_FLASH_PAGE_BYTES);
+    const bool done = command(hal, EFC_FCR_FCMD_EWP, offset / STORAGE_PAGE_BYTES);
     end_commands(mode);
     return done;
 }
 
+bool hal_flash_erase(hal_t *hal, uint32_t offset) {
+    (void)hal;
+    return offset % STORAGE_PAGE_BYTES == 0 && offset < STORAGE_BYTES;
+}
+
 /* A page that holds the bytes already is left alone: it wears out after some 10 000 writes. */
-bool hal_flash_write_page(hal_t *hal, uint32_t offset, const void *page) {
-    if (offset % HAL_FLASH_PAGE_BYTES != 0 || offset >= HAL_FLASH_SIZE_BYTES || !ready()) {
+bool hal_flash_program(hal_t *hal, uint32_t offset, const void *bytes) {
+    if (offset % STORAGE_PAGE_BYTES != 0 || offset >= STORAGE_BYTES || !ready()) {
         return false;
     }
-    if (holds(offset, page)) {
+    if (holds(offset, bytes)) {
         return true;
     }
-    return supply_good() && write_page(hal, offset, page) && holds(offset, page);
+    return supply_good() && write_page(hal, offset, bytes) && holds(offset, bytes);
 }

@@ -5,7 +5,6 @@
 #ifndef NATIVE_BINDINGS_H
 #define NATIVE_BINDINGS_H
 
-#include "settings/settings.h"
 #include "base/crc.h"
 #include "base/units.h"
 #include "batch/shoal.h"
@@ -17,6 +16,7 @@
 #include "gait/gait.h"
 #include "hal/flash.h"
 #include "hal/servo.h"
+#include "host/flash_size.h"
 #include "ilc/judge.h"
 #include "ilc/law.h"
 #include "ilc/memory.h"
@@ -49,8 +49,8 @@ enum {
     NATIVE_FRAME_US = FRAME_US,
     NATIVE_BLINK_SYMBOL_FRAMES = BLINK_SYMBOL_FRAMES,
     NATIVE_BLINK_BLOCK_FRAMES = BLINK_BLOCK_FRAMES,
-    NATIVE_FLASH_BYTES = HAL_FLASH_SIZE_BYTES,
-    NATIVE_FLASH_PAGE_BYTES = HAL_FLASH_PAGE_BYTES,
+    NATIVE_FLASH_BYTES = HOST_FLASH_BYTES,
+    NATIVE_FLASH_PAGE_BYTES = HOST_FLASH_PAGE_BYTES,
     NATIVE_SERVO_TICKS_PER_US = HAL_SERVO_TICKS_PER_US,
     NATIVE_IMU_FRAME_BYTES = IMU_FRAME_BYTES,
     NATIVE_PARAM_NAME_BYTES = PARAM_NAME_BYTES,

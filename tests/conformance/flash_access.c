@@ -4,28 +4,15 @@
 
 #include <string.h>
 
-#define REWRITE_MAX_US 10000u
+uint32_t flash_size(const hal_t *hal) { return hal_flash_geometry(hal)->size_bytes; }
 
-_Static_assert(HAL_FLASH_PAGE_BYTES <= FLASH_PAGE_BYTES_MAX, "a page fits the suite's buffers");
+uint32_t flash_page_bytes(const hal_t *hal) { return hal_flash_geometry(hal)->program_bytes; }
 
-uint32_t flash_size(const hal_t *hal) {
-    (void)hal;
-    return HAL_FLASH_SIZE_BYTES;
-}
-
-uint32_t flash_page_bytes(const hal_t *hal) {
-    (void)hal;
-    return HAL_FLASH_PAGE_BYTES;
-}
-
-uint32_t flash_unit_bytes(const hal_t *hal) {
-    (void)hal;
-    return HAL_FLASH_PAGE_BYTES;
-}
+uint32_t flash_unit_bytes(const hal_t *hal) { return hal_flash_geometry(hal)->erase_bytes; }
 
 uint32_t flash_rewrite_max_us(const hal_t *hal) {
-    (void)hal;
-    return REWRITE_MAX_US;
+    const hal_flash_geometry_t *geometry = hal_flash_geometry(hal);
+    return geometry->erase_max_us + geometry->program_max_us;
 }
 
 bool flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
@@ -33,15 +20,19 @@ bool flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
 }
 
 bool flash_rewrite(hal_t *hal, uint32_t offset, const void *page) {
-    return hal_flash_write_page(hal, offset, page);
+    return hal_flash_erase(hal, offset) && hal_flash_program(hal, offset, page);
 }
 
 bool flash_accepts(hal_t *hal, uint32_t offset, const void *page) {
-    return flash_rewrite(hal, offset, page);
+    const bool erased = hal_flash_erase(hal, offset);
+    const bool programmed = hal_flash_program(hal, offset, page);
+    return erased || programmed;
 }
 
+/* Where programming erases, the unit is one page. */
 bool flash_blank(hal_t *hal, uint32_t offset) {
-    uint8_t blank[HAL_FLASH_PAGE_BYTES];
+    uint8_t blank[FLASH_PAGE_BYTES_MAX];
     memset(blank, 0xFF, sizeof blank);
-    return hal_flash_write_page(hal, offset, blank);
+    return hal_flash_erase(hal, offset) && (!hal_flash_geometry(hal)->program_erases ||
+                                            hal_flash_program(hal, offset, blank));
 }

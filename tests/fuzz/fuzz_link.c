@@ -27,7 +27,7 @@
 typedef struct {
     app_t app;
     uint64_t now_us;
-    uint8_t flash[HAL_FLASH_SIZE_BYTES];
+    uint8_t flash[MOCK_FLASH_BYTES];
 } snapshot_t;
 
 static snapshot_t idle, pending, running;
@@ -150,7 +150,8 @@ static void state_sound(void) {
     finite(app.learner.memory.amplitude_rad, app.learner.memory.beats);
     finite(app.trial.run.trial.amplitude_rad, app.learner.reference.beats);
     for (uint32_t i = 0; i < app.learner.reference.beats; i++) {
-        MUST(app.trial.run.trial.amplitude_rad[i] >= 0.0f && app.trial.run.trial.amplitude_rad[i] <= 1.0472f);
+        MUST(app.trial.run.trial.amplitude_rad[i] >= 0.0f &&
+             app.trial.run.trial.amplitude_rad[i] <= 1.0472f);
     }
     for (unsigned i = 0; i < PARAM_COUNT; i++) {
         const param_info_t *info = param_info((param_t)i);
@@ -299,7 +300,9 @@ static void command_trial(input_t *in) {
                                         TAILBEAT_CMD_DISCARD, MAV_CMD_COMPONENT_ARM_DISARM};
     frame_t frame;
     const uint8_t how = take_u8(in), which = take_u8(in) % 4u;
-    const uint32_t trial = which == 0 ? app.trial.next : which == 3 ? 1u : app.trial.run.trial.number;
+    const uint32_t trial = which == 0   ? app.trial.next
+                           : which == 3 ? 1u
+                                        : app.trial.run.trial.number;
     const mavlink_command_long_t fields = {.command = commands[which],
                                            .param1 = (float)trial,
                                            .param2 = (float)hal.now_us * 1e-6f,

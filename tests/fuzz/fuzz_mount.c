@@ -21,7 +21,7 @@
 /* Reads of the flash in one boot or one request: an end, no more; blockdev.c has the real limit. */
 #define READS_MAX 8000000u
 
-static uint8_t base[BASES][HAL_FLASH_SIZE_BYTES];
+static uint8_t base[BASES][MOCK_FLASH_BYTES];
 static uint32_t reads, most_reads;
 
 bool __real_hal_flash_read(hal_t *board, uint32_t offset, void *out, uint32_t length);
@@ -74,16 +74,16 @@ static void make_bases(void) {
 
 static void damage(input_t *in) {
     const uint8_t what = take_u8(in);
-    const uint32_t block = take_u8(in) % STORE_BLOCKS;
-    uint8_t *bytes = hal.flash + block * STORE_BLOCK_BYTES;
+    const uint32_t block = take_u8(in) % BLOCKS;
+    uint8_t *bytes = hal.flash + block * BLOCK_BYTES;
     switch (what % 8u) {
     case 0: { /* bytes of the block */
-        const uint32_t at = take_u16(in) % STORE_BLOCK_BYTES;
+        const uint32_t at = take_u16(in) % BLOCK_BYTES;
         bytes[at] ^= take_u8(in);
         break;
     }
     case 1: { /* the same, and nobody sees it */
-        const uint32_t at = take_u16(in) % STORE_BLOCK_BYTES;
+        const uint32_t at = take_u16(in) % BLOCK_BYTES;
         bytes[at] ^= take_u8(in);
         lfs_image_seal(bytes);
         break;
@@ -101,15 +101,14 @@ static void damage(input_t *in) {
         break;
     }
     case 4: /* another block's content */
-        memcpy(bytes, hal.flash + take_u8(in) % STORE_BLOCKS * STORE_BLOCK_BYTES,
-               STORE_BLOCK_BYTES);
+        memcpy(bytes, hal.flash + take_u8(in) % BLOCKS * BLOCK_BYTES, BLOCK_BYTES);
         break;
     case 5: /* a page */
-        memset(bytes + take_u8(in) % 8u * HAL_FLASH_PAGE_BYTES, take_u8(in), HAL_FLASH_PAGE_BYTES);
+        memset(bytes + take_u8(in) % 8u * STORE_PAGE_BYTES, take_u8(in), STORE_PAGE_BYTES);
         break;
     case 6: /* a pointer of a tag to a block; or a ring */
         if (what >= 128u) {
-            lfs_image_make_ring(hal.flash, block, 2u + take_u8(in) % (STORE_BLOCKS - 3u));
+            lfs_image_make_ring(hal.flash, block, 2u + take_u8(in) % (BLOCKS - 3u));
         } else {
             lfs_image_set_data(bytes, take_u8(in), take_u8(in), take_u8(in));
             lfs_image_seal(bytes);

@@ -42,10 +42,13 @@ typedef struct {
 #define FLAT_VERSION 2u
 #define UNVISITED_VERSION 1u
 #define UNVISITED_BYTES_EACH 8u
+#define KIND_CRASH 7u
+#define UNNAMED_VERSION 1u
+#define UNNAMED_FIXED_BYTES 174u
 
 static const shape_t shapes[KIND_COUNT] = {
     {"TBRF", 4, 4}, {"TBLI", 70, 9}, {"TBTR", 16, 12}, {"TBPA", 0, 20}, {"TBCT", 4, 0},
-    {"TBSP", 4, 8}, {"TBAM", 4, 4},  {"TBCR", 174, 4}, {"TBKY", 8, 32}, {"TBPT", 20, 8},
+    {"TBSP", 4, 8}, {"TBAM", 4, 4},  {"TBCR", 270, 4}, {"TBKY", 8, 32}, {"TBPT", 20, 8},
 };
 
 static fault_t decode(unsigned kind, const uint8_t *bytes, size_t length, any_t *out) {
@@ -199,6 +202,9 @@ static void in_bounds(unsigned kind, const any_t *value) {
         MUST(value->crash.crash.stack_words <= HAL_CRASH_STACK_WORDS);
         MUST(memchr(value->crash.build_id, 0, BUILD_ID_BYTES) != NULL);
         MUST(memchr(value->crash.crash.where, 0, HAL_CRASH_WHERE_BYTES) != NULL);
+        for (unsigned i = 0; i < HAL_CRASH_REGISTERS; i++) {
+            MUST(memchr(value->crash.register_names[i], 0, HAL_CRASH_NAME_BYTES) != NULL);
+        }
         break;
     case 8:
         key_in_bounds(&value->key);
@@ -207,6 +213,16 @@ static void in_bounds(unsigned kind, const any_t *value) {
         past_in_bounds(&value->past);
         break;
     }
+}
+
+static uint16_t version_of(unsigned kind, bool unvisited, bool flat, bool unnamed) {
+    if (kind == KIND_CRASH) {
+        return unnamed ? UNNAMED_VERSION : RECORD_CRASH_VERSION;
+    }
+    if (kind != KIND_MEMORY) {
+        return RECORD_VERSION;
+    }
+    return unvisited ? UNVISITED_VERSION : flat ? FLAT_VERSION : RECORD_MEMORY_VERSION;
 }
 
 /* Makes the frame right as |how| says. */
@@ -218,12 +234,12 @@ static void mend(unsigned kind, unsigned how, uint8_t *bytes, size_t length) {
     const bool unvisited = kind == KIND_MEMORY && (how & 4u) != 0;
     const bool flat = kind == KIND_MEMORY && (how & 12u) != 0;
     const size_t bytes_each = unvisited ? UNVISITED_BYTES_EACH : shape->bytes_each;
-    const size_t fixed_bytes = flat ? FLAT_FIXED_BYTES : shape->fixed_bytes;
+    const bool unnamed = kind == KIND_CRASH && (how & 4u) != 0;
+    const size_t fixed_bytes = flat      ? FLAT_FIXED_BYTES
+                               : unnamed ? UNNAMED_FIXED_BYTES
+                                         : shape->fixed_bytes;
     memcpy(bytes, shape->magic, 4);
-    (void)bytes_put_u16(bytes + 4, kind != KIND_MEMORY ? RECORD_VERSION
-                                   : unvisited         ? UNVISITED_VERSION
-                                   : flat              ? FLAT_VERSION
-                                                       : RECORD_MEMORY_VERSION);
+    (void)bytes_put_u16(bytes + 4, version_of(kind, unvisited, flat, unnamed));
     if ((how & 2u) != 0 && bytes_each != 0 && length >= RECORD_HEADER_BYTES + fixed_bytes) {
         const size_t body = length - RECORD_HEADER_BYTES - fixed_bytes;
         (void)bytes_put_u16(bytes + 6, (uint16_t)(body / bytes_each));
@@ -254,7 +270,7 @@ static void check(unsigned kind, const uint8_t *bytes, size_t length) {
     MUST(memcmp(first, second, length_first) == 0);
     /* All but the parameters, which are stored by name, have one form only; older versions come out
      * as the newest. */
-    const bool older = kind == KIND_MEMORY && bytes_get_u16(bytes + 4) != RECORD_MEMORY_VERSION;
+    const bool older = bytes_get_u16(bytes + 4) != version_of(kind, false, false, false);
     MUST(kind == 3 || older || (length_first == length && memcmp(first, bytes, length) == 0));
 }
 

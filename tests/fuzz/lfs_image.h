@@ -6,6 +6,7 @@
 #ifndef FUZZ_LFS_IMAGE_H
 #define FUZZ_LFS_IMAGE_H
 
+#include "../unit/store_size.h"
 #include "lfs_util.h"
 #include "store/bytes.h"
 #include "store/store.h"
@@ -33,10 +34,10 @@ static inline void lfs_image_put(uint8_t *at, uint32_t value) {
 /* The tags of |block| as far as they make sense; returns how many. */
 static inline uint32_t lfs_image_tags(const uint8_t *block, lfs_image_tag_t *tags) {
     uint32_t count = 0, offset = 4, before = 0xFFFFFFFFu;
-    while (count < LFS_IMAGE_TAGS && offset + 4u <= STORE_BLOCK_BYTES) {
+    while (count < LFS_IMAGE_TAGS && offset + 4u <= BLOCK_BYTES) {
         const uint32_t value = lfs_image_get(block + offset) ^ before;
         const uint32_t length = (value & 0x3FFu) == 0x3FFu ? 0 : value & 0x3FFu;
-        if ((value & 0x80000000u) != 0 || offset + 4u + length > STORE_BLOCK_BYTES) {
+        if ((value & 0x80000000u) != 0 || offset + 4u + length > BLOCK_BYTES) {
             break;
         }
         const bool is_crc =
@@ -129,7 +130,7 @@ static inline void lfs_image_set_tail(uint8_t *block, uint32_t a, uint32_t b) {
  * off the list of all folders, which mounting looks at. */
 static inline void lfs_image_make_ring(uint8_t *flash, uint32_t number, uint32_t to) {
     lfs_image_tag_t tags[LFS_IMAGE_TAGS];
-    uint8_t *block = flash + number * STORE_BLOCK_BYTES;
+    uint8_t *block = flash + number * BLOCK_BYTES;
     const uint32_t count = lfs_image_tags(block, tags);
     for (uint32_t i = 0; i < count; i++) {
         uint8_t *const data = block + tags[i].offset + 4u;
@@ -138,9 +139,9 @@ static inline void lfs_image_make_ring(uint8_t *flash, uint32_t number, uint32_t
         }
         for (uint32_t half = 0; half < 2u; half++) {
             const uint32_t from = bytes_get_u32(data + 4u * half);
-            uint8_t *const copy = flash + (to + half) * STORE_BLOCK_BYTES;
-            if (from < STORE_BLOCKS) {
-                memmove(copy, flash + from * STORE_BLOCK_BYTES, STORE_BLOCK_BYTES);
+            uint8_t *const copy = flash + (to + half) * BLOCK_BYTES;
+            if (from < BLOCKS) {
+                memmove(copy, flash + from * BLOCK_BYTES, BLOCK_BYTES);
                 lfs_image_set_tail(copy, to, to + 1u);
             }
             (void)bytes_put_u32(data + 4u * half, to + half);

@@ -150,7 +150,8 @@ def test_a_servo(extended: Path, tmp_path: Path) -> None:
     assert done.stdout.split() == ["0", "4844", "0"]
     chip = ["arm-none-eabi-gcc", "-mcpu=cortex-m3", "-mthumb", *options, "-fsyntax-only"]
     board = extended / "hal" / "sam3x8e"
-    subprocess.run([*chip, f"-I{board}", str(board / "servo.c")], check=True)
+    core = board.parent / "cortex_m3"
+    subprocess.run([*chip, f"-I{board}", f"-I{core}", str(board / "servo.c")], check=True)
 
 
 RUDDER = """

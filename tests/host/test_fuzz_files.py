@@ -225,12 +225,15 @@ def sealed(record: bytes) -> bytes:
 
 def some_records() -> list[bytes]:
     speeds = [0.01, float("nan"), 0.03]
-    crash_record = b"TBCR\1\0\2\0" + bytes(4) + bytes(174) + bytes(8)
+    crash_records = [
+        b"TBCR" + struct.pack("<HH", version, 2) + bytes(4) + bytes(fixed) + bytes(8)
+        for version, fixed in ((1, 174), (2, 270))
+    ]
     return [
         records.encode_reference(1.0, [0.01, 0.02, 0.03]),
         records.encode_speeds(3, speeds, 0.001),
         records.encode_amplitudes(77, speeds),
-        sealed(crash_record),
+        *map(sealed, crash_records),
     ]
 
 

@@ -17,7 +17,9 @@ import pytest
 
 from register_facts import Peripheral, interrupts, peripherals
 
-REGISTERS = Path(__file__).parents[2] / "hal" / "sam3x8e" / "registers"
+HAL = Path(__file__).parents[2] / "hal"
+REGISTERS = HAL / "sam3x8e" / "registers"
+CORE_REGISTERS = HAL / "cortex_m3" / "registers"
 
 # Struct of the headers -> peripherals of the SVD that it is laid over.
 STRUCTS = {
@@ -154,7 +156,8 @@ def svd_interrupts() -> dict[str, int]:
 
 @cache
 def headers() -> str:
-    texts = [path.read_text(encoding="utf-8") for path in sorted(REGISTERS.glob("*.h"))]
+    paths = sorted([*REGISTERS.glob("*.h"), *CORE_REGISTERS.glob("*.h")])
+    texts = [path.read_text(encoding="utf-8") for path in paths]
     return re.sub(r"/\*.*?\*/", "", "\n".join(texts), flags=re.DOTALL).replace("\\\n", " ")
 
 

@@ -7,6 +7,7 @@
 #include "base/crc.h"
 #include "mock_hal.h"
 #include "store/critical.h"
+#include "store_size.h"
 #include "unity.h"
 
 #include <math.h>

@@ -15,14 +15,14 @@ static inline bool boot_is_cut(void) {
 }
 
 /* Boots from |whole| with each cut, boots again and calls |check|. Returns the number of cuts. */
-static inline uint32_t cut_every_write_of_a_boot(const uint8_t whole[HAL_FLASH_SIZE_BYTES],
+static inline uint32_t cut_every_write_of_a_boot(const uint8_t whole[MOCK_FLASH_BYTES],
                                                  void (*check)(void)) {
     static flash_model_t model;
     uint32_t cuts = 0;
     bool cut = true;
     for (uint32_t n = 1; cut; n++) {
         for (unsigned kind = 0; kind < CUT_KINDS; kind++) {
-            memcpy(hal.flash, whole, HAL_FLASH_SIZE_BYTES);
+            mock_flash_load(&hal, whole, n == 1u && kind == 0);
             flash_model_attach(&model, &hal, n * CUT_KINDS + kind);
             model.cut_in = n;
             model.cut_kind = (cut_kind_t)kind;

@@ -1,6 +1,6 @@
 /*
- * The storage flash as hardware: each page write is counted, the power may go in the midst of one,
- * and pages wear out.
+ * The storage flash as hardware (MOCK_FLASH, mock_hal.h): each page write and each erase is counted
+ * and takes its time, the power may go in the midst of one, and pages or erase units wear out.
  *
  * A cut is a world that forks: |before_write| is called with the flash as it is, and
  * flash_model_cut() makes of another board's copy of it what the cut leaves. The first world goes
@@ -11,11 +11,18 @@
 #define FLASH_MODEL_H
 
 #include "mock_hal.h"
+#include "store_size.h"
 
-#define FLASH_PAGES (HAL_FLASH_SIZE_BYTES / HAL_FLASH_PAGE_BYTES)
+#define FLASH_PAGES MOCK_FLASH_PAGES
+#define FLASH_UNITS (MOCK_FLASH_BYTES / MOCK_FLASH_ERASE_BYTES)
+#define FLASH_UNSTABLE_BYTES MOCK_FLASH_ERASE_BYTES
 #define FLASH_QUADWORD_BYTES 16u /* what the chip programs at a time */
 
-/* What the page under way holds after the cut. */
+/* What the page under way holds after the cut, where programming erases. Where it does not, the
+ * page was erased before: all blank is one of these; half erased means half programmed everywhere.
+ * An erase that is cut leaves the whole unit as it was; erased; partly erased; partly or all zero,
+ * as such chips begin with that; with some bits up; or with bits that come up or not at each read.
+ */
 typedef enum {
     CUT_UNTOUCHED,       /* old: the power went before the erase */
     CUT_ERASED,          /* all 0xFF */
@@ -30,17 +37,20 @@ typedef enum {
 } cut_kind_t;
 
 typedef struct {
-    uint32_t writes; /* since flash_model_attach */
+    uint32_t writes, erases; /* since flash_model_attach */
+    uint64_t busy_us;        /* erases at their typical time, writes at their longest */
     uint32_t page_writes[FLASH_PAGES];
+    uint32_t unit_erases[FLASH_UNITS];
+    /* |page| NULL: the unit at |offset| is erased. */
     void (*before_write)(void *context, uint32_t offset, const uint8_t *page);
     void *context;
-    uint32_t cut_in; /* the power goes in the n-th write from now; 0 = it stays */
+    uint32_t cut_in; /* the power goes in the n-th write or erase from now; 0 = it stays */
     cut_kind_t cut_kind;
-    uint32_t endurance; /* writes a page takes before bits of it stay wrong; 0 = any number */
-    uint32_t worn;      /* writes that failed for that */
+    uint32_t endurance; /* writes a page, or erases a unit, takes before bits stay wrong; 0 = any */
+    uint32_t worn;      /* writes or erases that failed for that */
     uint32_t random;
-    uint32_t unstable_page; /* offset; FLASH_STABLE = none */
-    uint8_t unstable[HAL_FLASH_PAGE_BYTES];
+    uint32_t unstable_at; /* offset; FLASH_STABLE = none */
+    uint8_t unstable[FLASH_UNSTABLE_BYTES];
 } flash_model_t;
 
 #define FLASH_STABLE UINT32_MAX
@@ -50,7 +60,8 @@ extern jmp_buf flash_model_off;
 /* Clears |model| and gives |hal|'s flash its life. The content stays. */
 void flash_model_attach(flash_model_t *model, hal_t *hal, uint32_t seed);
 
-/* Makes |hal|'s flash what |kind| of cut leaves when |page| was being written at |offset|. */
+/* Makes |hal|'s flash what |kind| of cut leaves when |page| was being written at |offset|, or,
+ * NULL, the unit there was being erased. */
 void flash_model_cut(flash_model_t *model, hal_t *hal, cut_kind_t kind, uint32_t offset,
                      const uint8_t *page);
 

@@ -9,6 +9,7 @@
 #include "link_peer.h"
 #include "store/bytes.h"
 #include "store/trial_log.h"
+#include "store_size.h"
 
 static store_t store;
 static ftp_server_t ftp;

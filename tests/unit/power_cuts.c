@@ -34,7 +34,7 @@ void power_cuts_explain(void) {
 
 /* What is left of the first world when the power goes. */
 static void fork_world(cut_kind_t kind, uint32_t offset, const uint8_t *page) {
-    memcpy(dark_hal.flash, hal.flash, sizeof hal.flash);
+    mock_flash_copy(&dark_hal, &hal, false);
     flash_model_attach(&dark_model, &dark_hal, now.seed + now.at * CUT_KINDS + kind);
     flash_model_cut(&dark_model, &dark_hal, kind, offset, page);
     ledger_copy(&dark_ledger, &ledger, &dark_store);

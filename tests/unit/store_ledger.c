@@ -1,5 +1,6 @@
 #include "store_ledger.h"
 
+#include "store_size.h"
 #include "unity.h"
 
 #include <string.h>
@@ -187,7 +188,7 @@ static uint32_t blocks_of(uint32_t size) {
         for (uint32_t rest = blocks; rest != 0 && rest % 2u == 0; rest /= 2u) {
             pointers++;
         }
-        have += STORE_BLOCK_BYTES - POINTER_BYTES * pointers;
+        have += BLOCK_BYTES - POINTER_BYTES * pointers;
     }
     return blocks;
 }
@@ -239,7 +240,7 @@ static uint32_t blocks_in_use(store_t *store, ledger_t *ledger) {
 }
 
 static int32_t lost(store_t *store, ledger_t *ledger) {
-    const uint32_t used = STORE_DATA_BLOCKS - store_free_bytes(store) / STORE_BLOCK_BYTES;
+    const uint32_t used = DATA_BLOCKS - store_free_bytes(store) / BLOCK_BYTES;
     return (int32_t)used - (int32_t)blocks_in_use(store, ledger);
 }
 

@@ -191,7 +191,7 @@ static void test_an_abort_in_the_coast_and_while_settling_changes_nothing(void) 
 static void fill_store(void) {
     char path[STORE_PATH_BYTES];
     memset(upload_bytes, 7, sizeof upload_bytes);
-    for (uint32_t i = 1; store_free_bytes(&app.vault.store) > STORE_RESERVE_BYTES / 2u; i++) {
+    for (uint32_t i = 1; store_free_bytes(&app.vault.store) > RESERVE_BYTES / 2u; i++) {
         (void)snprintf(path, sizeof path, "/trials/%05u.ulg", (unsigned)i);
         TEST_ASSERT_EQUAL(STORE_OK,
                           store_replace(&app.vault.store, path, upload_bytes, sizeof upload_bytes));

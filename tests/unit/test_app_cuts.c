@@ -134,7 +134,7 @@ static void goes_on(void) {
 }
 
 static void darken(cut_kind_t kind, uint32_t offset, const uint8_t *page) {
-    memcpy(dark_hal.flash, hal.flash, sizeof hal.flash);
+    mock_flash_copy(&dark_hal, &hal, false);
     flash_model_attach(&dark_model, &dark_hal, writes * CUT_KINDS + kind);
     flash_model_cut(&dark_model, &dark_hal, kind, offset, page);
 }
@@ -203,7 +203,7 @@ static void done(void) {
     TEST_ASSERT_LESS_THAN_UINT32(STEPS_MAX, step);
     learning_began = false;
     if (mode == LOOK) {
-        memcpy(dark_hal.flash, hal.flash, sizeof hal.flash);
+        mock_flash_copy(&dark_hal, &hal, false);
         flash_model_attach(&dark_model, &dark_hal, 1);
         boot_dark();
         after[step] = known_to(&dark);

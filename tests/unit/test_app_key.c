@@ -13,7 +13,7 @@
 #define TODAY (11u * YEAR)
 #define FRAMES_MAX 64u
 #define CUTS_MAX 200u
-#define PAGE HAL_FLASH_PAGE_BYTES
+#define PAGE STORE_PAGE_BYTES
 
 static const uint8_t key_a[SIGNING_KEY_BYTES] = {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14};
 static const uint8_t key_b[SIGNING_KEY_BYTES] = {31, 32, 33, 34, 35, 36, 37, 38, 39, 40, 41};
@@ -171,7 +171,7 @@ static void test_a_time_that_makes_no_sense(void) {
 /* Older versions of the file, which a boot would go back to. */
 static void spoil_copies(void) {
     key_record_t record;
-    for (uint32_t at = 0; at < HAL_FLASH_SIZE_BYTES; at += STORE_BLOCK_BYTES) {
+    for (uint32_t at = 0; at < MOCK_FLASH_BYTES; at += BLOCK_BYTES) {
         if (record_decode_key(hal.flash + at, RECORD_KEY_MAX_BYTES, &record) == FAULT_NONE) {
             hal.flash[at + 21u] ^= 0x5A;
         }
@@ -347,7 +347,7 @@ static void test_files_and_crashes_do_not_tell_the_key(void) {
         stack[3u + i] = key_b[i];         /* as it came in */
         stack[64u + (i ^ 3u)] = key_b[i]; /* as it is hashed */
     }
-    memcpy(&hal.crash.r0, key_b + 4, 4);
+    memcpy(&hal.crash.registers[0], key_b + 4, 4);
     stack[1] = 0x77;
     boot();
     TEST_ASSERT_EQUAL(FAULT_CRASH, app.supervisor.reason);
@@ -359,7 +359,7 @@ static void test_files_and_crashes_do_not_tell_the_key(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_crash(bytes, length, &report));
     TEST_ASSERT_EQUAL_HEX32(0x7700, report.crash.stack[0]);
     TEST_ASSERT_EACH_EQUAL_HEX32(0, report.crash.stack + 1, HAL_CRASH_STACK_WORDS - 1u);
-    TEST_ASSERT_EQUAL_HEX32(0, report.crash.r0);
+    TEST_ASSERT_EQUAL_HEX32(0, report.crash.registers[0]);
     TEST_ASSERT_EQUAL_UINT32(HAL_CRASH_ASSERTION, report.crash.kind);
 }
 
@@ -384,8 +384,8 @@ static void live(void) {
     say_clear(clock_now() + 5u);
 }
 
-static uint8_t start[HAL_FLASH_SIZE_BYTES], after_cut[HAL_FLASH_SIZE_BYTES];
-static uint8_t one_page_more[HAL_FLASH_SIZE_BYTES];
+static uint8_t start[MOCK_FLASH_BYTES], after_cut[MOCK_FLASH_BYTES];
+static uint8_t one_page_more[MOCK_FLASH_BYTES];
 
 /* True when it came to its end before the cut. */
 static bool live_until(uint32_t pages) {
@@ -402,7 +402,7 @@ static bool live_until(uint32_t pages) {
 
 /* The page that was being written holds half of the new over the old. */
 static void tear_page(void) {
-    for (uint32_t at = 0; at < HAL_FLASH_SIZE_BYTES; at += PAGE) {
+    for (uint32_t at = 0; at < MOCK_FLASH_BYTES; at += PAGE) {
         if (memcmp(after_cut + at, one_page_more + at, PAGE) != 0) {
             memcpy(hal.flash + at, one_page_more + at, PAGE / 2u);
             return;

@@ -379,7 +379,7 @@ static void test_a_write_that_fails_changes_nothing(void) {
 
 /* Each a block long. */
 static void leave_past_files(void) {
-    static uint8_t filler[STORE_BLOCK_BYTES];
+    static uint8_t filler[BLOCK_BYTES];
     for (char number = '0'; number < '0' + (char)VAULT_PAST_PLACES; number++) {
         char path[] = PAST_PATH;
         path[5] = number;
@@ -388,10 +388,10 @@ static void leave_past_files(void) {
 }
 
 static void fill_store(uint32_t free_blocks) {
-    static uint8_t filler[STORE_BLOCK_BYTES];
+    static uint8_t filler[BLOCK_BYTES];
     static store_file_t file;
     TEST_ASSERT_EQUAL(STORE_OK, store_open(&app.vault.store, &file, "/in/filler", STORE_WRITE_NEW));
-    while (store_free_bytes(&app.vault.store) > free_blocks * STORE_BLOCK_BYTES) {
+    while (store_free_bytes(&app.vault.store) > free_blocks * BLOCK_BYTES) {
         TEST_ASSERT_EQUAL(STORE_OK, store_append(&app.vault.store, &file, filler, sizeof filler));
         TEST_ASSERT_EQUAL(STORE_OK, store_sync(&app.vault.store, &file));
     }

@@ -22,9 +22,9 @@ static fault_t command_with_failing_flash(link_command_id_t id, uint32_t trial, 
 
 /* Every block that begins with |magic|. */
 static void wipe_records(const char *magic) {
-    for (uint32_t at = 0; at < sizeof hal.flash; at += STORE_BLOCK_BYTES) {
+    for (uint32_t at = 0; at < sizeof hal.flash; at += BLOCK_BYTES) {
         if (memcmp(hal.flash + at, magic, 4) == 0) {
-            memset(hal.flash + at, 0xFF, STORE_BLOCK_BYTES);
+            memset(hal.flash + at, 0xFF, BLOCK_BYTES);
         }
     }
 }

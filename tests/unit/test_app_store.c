@@ -308,7 +308,7 @@ static void test_flash_that_fails_while_armed_or_during_an_upload_is_a_fault(voi
 }
 
 static void test_a_full_store_is_no_fault(void) {
-    static uint8_t piece[60u * STORE_BLOCK_BYTES];
+    static uint8_t piece[60u * BLOCK_BYTES];
     store_result_t result = STORE_OK;
     char path[] = "/in/a";
     for (size_t length = sizeof piece; length > 0; length /= 2u) {
@@ -395,7 +395,7 @@ static void test_a_crash_is_told_and_kept_in_a_file(void) {
     hal.crashed = true;
     hal.crash = (hal_crash_t){.kind = HAL_CRASH_ASSERTION,
                               .pc = 0x80123u,
-                              .cfsr = 7u,
+                              .registers = {0, 7u},
                               .time_us = 5000000000u,
                               .where = "gait.c:12",
                               .stack_words = 2,
@@ -415,6 +415,9 @@ static void test_a_crash_is_told_and_kept_in_a_file(void) {
     TEST_ASSERT_EQUAL_HEX32(0x80123u, report.crash.pc);
     TEST_ASSERT_EQUAL_UINT64(5000000000u, report.crash.time_us);
     TEST_ASSERT_EQUAL(22u, report.crash.stack[1]);
+    TEST_ASSERT_EQUAL_STRING("cause", report.register_names[1]);
+    TEST_ASSERT_EQUAL(7u, report.crash.registers[1]);
+    TEST_ASSERT_EQUAL_STRING("", report.register_names[2]);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
     reboot();
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);

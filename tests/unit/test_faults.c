@@ -56,6 +56,7 @@ static const struct {
     {30, "STORE_OLDER", FAULT_KIND_FAULT},
     {31, "BATTERY_SENSE", FAULT_KIND_FAULT},
     {32, "MONITOR", FAULT_KIND_FAULT},
+    {33, "STORE_UNFIT", FAULT_KIND_FAULT},
     {40, "WRONG_STATE", FAULT_KIND_REFUSAL},
     {41, "NO_REFERENCE", FAULT_KIND_REFUSAL},
     {42, "BATTERY_LOW", FAULT_KIND_REFUSAL},
@@ -85,6 +86,7 @@ static const struct {
     {66, "LAW_FEEDBACK", FAULT_KIND_REFUSAL},
     {67, "LAW_SIGN", FAULT_KIND_REFUSAL},
     {68, "SERVO_UNSAVED", FAULT_KIND_REFUSAL},
+    {69, "ERASING", FAULT_KIND_REFUSAL},
 };
 
 static void numbers_are_stable(void) {

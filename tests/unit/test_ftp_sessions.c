@@ -288,7 +288,7 @@ static void test_a_file_that_is_gone_is_not_read_from_its_old_blocks(void) {
         } else {
             put_file("/reference.bin", 50);
         }
-        for (uint32_t n = 0; n < 2u * STORE_BLOCKS; n++) { /* until the block is used anew */
+        for (uint32_t n = 0; n < 2u * BLOCKS; n++) { /* until the block is used anew */
             TEST_ASSERT_EQUAL(STORE_OK, store_replace(&store, "/key.bin", other, sizeof other));
             TEST_ASSERT_TRUE(ask(FTP_OP_READ, session, 0, NULL, 50));
             expect_nak(FTP_NOT_FOUND);

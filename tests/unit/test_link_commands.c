@@ -181,8 +181,8 @@ static void test_reports_its_version(void) {
     mavlink_msg_autopilot_version_decode(peer_find(MAVLINK_MSG_ID_AUTOPILOT_VERSION), &fields);
     TEST_ASSERT_EQUAL_HEX32(0x22028, fields.capabilities);
     TEST_ASSERT_EQUAL_HEX32(0x00010000, fields.flight_sw_version);
-    TEST_ASSERT_EQUAL(HAL_BOARD_SIMULATED, fields.board_version);
-    TEST_ASSERT_EQUAL(HAL_BOARD_SIMULATED, fields.product_id);
+    TEST_ASSERT_EQUAL(2, fields.board_version);
+    TEST_ASSERT_EQUAL(2, fields.product_id);
     TEST_ASSERT_EQUAL_MEMORY("mocked-board-001\0\0", fields.uid2, 18);
     char expected[51];
     snprintf(expected, sizeof expected, "tailbeat %.40s", link_build_id());

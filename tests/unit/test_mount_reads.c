@@ -11,7 +11,7 @@
 #define READS_UNFED_MAX 33100u
 #define BYTES_UNFED_MAX (256u * 256u * 9u)
 
-static uint8_t base[HAL_FLASH_SIZE_BYTES];
+static uint8_t base[MOCK_FLASH_BYTES];
 static uint32_t feeds, reads, bytes, most_reads, most_bytes;
 
 void setUp(void) {}
@@ -49,9 +49,9 @@ static bool boot_damaged(uint32_t block, bool tail) {
     mock_hal_init(&hal);
     memcpy(hal.flash, base, sizeof base);
     if (tail) {
-        lfs_image_set_tail(hal.flash + block * STORE_BLOCK_BYTES, block & ~1u, block | 1u);
+        lfs_image_set_tail(hal.flash + block * BLOCK_BYTES, block & ~1u, block | 1u);
     } else {
-        lfs_image_make_ring(hal.flash, block, STORE_BLOCKS - 2u);
+        lfs_image_make_ring(hal.flash, block, BLOCKS - 2u);
     }
     if (memcmp(hal.flash, base, sizeof base) == 0) {
         return false;
@@ -65,7 +65,7 @@ static bool boot_damaged(uint32_t block, bool tail) {
 static void test_a_ring_of_folders_does_not_starve_the_watchdog(void) {
     uint32_t boots = 0, given_up = 0, most_feeds = 0;
     make_base();
-    for (uint32_t block = 0; block < STORE_BLOCKS; block++) {
+    for (uint32_t block = 0; block < BLOCKS; block++) {
         for (uint32_t tail = 0; tail < 2u; tail++) {
             boots += boot_damaged(block, tail != 0);
             given_up += app.supervisor.reason == FAULT_STORAGE;

@@ -93,11 +93,11 @@ static void append(ledger_t *ledger) {
 }
 
 static void make_space(ledger_t *ledger) {
-    const uint32_t all = HAL_FLASH_SIZE_BYTES - STORE_RESERVE_BYTES;
+    const uint32_t all = MOCK_FLASH_BYTES - RESERVE_BYTES;
     /* The oldest goes first; the ledger is told beforehand what may go. */
     const char *const going[] = {"/trials/0001.ulg", "/trials/0004.ulg"};
     for (uint32_t i = 0; i < 2; i++) {
-        const uint32_t wanted = store_free_bytes(ledger->store) + 3u * STORE_BLOCK_BYTES;
+        const uint32_t wanted = store_free_bytes(ledger->store) + 3u * BLOCK_BYTES;
         TEST_ASSERT_LESS_THAN_UINT32(all, wanted);
         bool done = false;
         for (uint32_t step = 0; step < ledger->count; step++) {
@@ -107,7 +107,7 @@ static void make_space(ledger_t *ledger) {
                 object->next.there = false;
             }
         }
-        OK(store_make_space_step(ledger->store, wanted - STORE_RESERVE_BYTES, 2, &done));
+        OK(store_make_space_step(ledger->store, wanted - RESERVE_BYTES, 2, &done));
         ledger_check(ledger);
         OK(store_make_space_step(ledger->store, 0, 2, &done));
         TEST_ASSERT_TRUE(done);
@@ -229,7 +229,7 @@ static void prepare_full(ledger_t *ledger) {
     OK(store_open(ledger->store, &file, path, STORE_WRITE_NEW));
     store_result_t result = STORE_OK;
     uint32_t bytes = 0;
-    while (result == STORE_OK && bytes < HAL_FLASH_SIZE_BYTES) {
+    while (result == STORE_OK && bytes < MOCK_FLASH_BYTES) {
         result = store_append(ledger->store, &file, new_content, 2000);
         bytes += 2000u;
     }

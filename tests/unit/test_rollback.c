@@ -16,7 +16,7 @@
 
 #define SPEED 0.05f
 #define TRIALS_MIN 200u
-#define PAGES (HAL_FLASH_SIZE_BYTES / HAL_FLASH_PAGE_BYTES)
+#define PAGES (MOCK_FLASH_BYTES / STORE_PAGE_BYTES)
 #define SAMPLE_AT 200u /* of the bytes of a page that are not read, this one */
 #define WIDE_RAD 0.7f
 #define NARROW_RAD 0.2f
@@ -39,8 +39,8 @@ typedef struct {
     uint32_t flips, unread, unchanged, reported, silent, open, revoked, wider;
 } tally_t;
 
-static uint8_t whole[HAL_FLASH_SIZE_BYTES]; /* as the board was switched off */
-static bool written[PAGES], touched[PAGES], watching, is_read[HAL_FLASH_SIZE_BYTES];
+static uint8_t whole[MOCK_FLASH_BYTES]; /* as the board was switched off */
+static bool written[PAGES], touched[PAGES], watching, is_read[MOCK_FLASH_BYTES];
 static knowledge_t expected;
 static uint32_t random_state, seed;
 
@@ -58,8 +58,8 @@ static uint32_t wish(const char *name, uint32_t otherwise) {
 }
 
 static bool note_write(hal_t *board, uint32_t offset, const uint8_t *page) {
-    memcpy(board->flash + offset, page, HAL_FLASH_PAGE_BYTES);
-    written[offset / HAL_FLASH_PAGE_BYTES] = touched[offset / HAL_FLASH_PAGE_BYTES] = true;
+    memcpy(board->flash + offset, page, STORE_PAGE_BYTES);
+    written[offset / STORE_PAGE_BYTES] = touched[offset / STORE_PAGE_BYTES] = true;
     return true;
 }
 
@@ -170,8 +170,8 @@ static knowledge_t known(void) {
 static void put_back(void) {
     for (uint32_t page = 0; page < PAGES; page++) {
         if (touched[page]) {
-            const uint32_t at = page * HAL_FLASH_PAGE_BYTES;
-            memcpy(hal.flash + at, whole + at, HAL_FLASH_PAGE_BYTES);
+            const uint32_t at = page * STORE_PAGE_BYTES;
+            memcpy(hal.flash + at, whole + at, STORE_PAGE_BYTES);
             touched[page] = false;
         }
     }
@@ -213,33 +213,33 @@ static void expect_what_is_there(void) {
 
 static void flip(uint32_t at, uint32_t bit, tally_t *tally) {
     hal.flash[at] ^= (uint8_t)(1u << bit);
-    touched[at / HAL_FLASH_PAGE_BYTES] = true;
+    touched[at / STORE_PAGE_BYTES] = true;
     if (judge(tally)) {
         printf("seed %u: bit %u of byte %u (block %u) is not told: reason %u\n", (unsigned)seed,
-               (unsigned)bit, (unsigned)at, (unsigned)(at / STORE_BLOCK_BYTES),
+               (unsigned)bit, (unsigned)at, (unsigned)(at / BLOCK_BYTES),
                (unsigned)app.supervisor.reason);
     }
 }
 
 /* Pages with metadata, witness or critical records: what a lifetime in make test flips. */
 static bool matters(uint32_t page) {
-    const uint32_t block = page * HAL_FLASH_PAGE_BYTES / STORE_BLOCK_BYTES;
-    const uint8_t *first = whole + block * STORE_BLOCK_BYTES;
+    const uint32_t block = page * STORE_PAGE_BYTES / BLOCK_BYTES;
+    const uint8_t *first = whole + block * BLOCK_BYTES;
     const bool log = memcmp(first, "ULog", 4) == 0;
     const bool metadata = memcmp(first + 4, "\xF0\x0F\xFF\xF7", 4) == 0 || first[7] == 0xF7u;
     return written[page] && !log &&
-           (block >= STORE_DATA_BLOCKS || metadata || memcmp(first, "TB", 2) == 0);
+           (block >= DATA_BLOCKS || metadata || memcmp(first, "TB", 2) == 0);
 }
 
 /* |bits| of 8 of each byte. */
 static void flip_all(uint32_t bits, bool only_what_matters, tally_t *tally) {
-    for (uint32_t at = 0; at < HAL_FLASH_SIZE_BYTES; at++) {
-        const uint32_t page = at / HAL_FLASH_PAGE_BYTES;
+    for (uint32_t at = 0; at < MOCK_FLASH_BYTES; at++) {
+        const uint32_t page = at / STORE_PAGE_BYTES;
         if (only_what_matters ? !matters(page) : !written[page]) {
             continue;
         }
         const uint32_t first = bits == 8u ? 0u : random_below(8);
-        if (!is_read[at] && at % HAL_FLASH_PAGE_BYTES != SAMPLE_AT) {
+        if (!is_read[at] && at % STORE_PAGE_BYTES != SAMPLE_AT) {
             tally->unread += bits;
             continue;
         }
@@ -302,9 +302,9 @@ static void test_other_lifetimes(void) {
 }
 
 static void damage_page(uint32_t page) {
-    uint8_t *at = hal.flash + page * HAL_FLASH_PAGE_BYTES;
+    uint8_t *at = hal.flash + page * STORE_PAGE_BYTES;
     const uint32_t kind = random_below(4);
-    for (uint32_t i = 0; i < HAL_FLASH_PAGE_BYTES; i++) {
+    for (uint32_t i = 0; i < STORE_PAGE_BYTES; i++) {
         const uint8_t noise = (uint8_t)random_below(256);
         at[i] = kind == 0   ? 0xFFu
                 : kind == 1 ? 0x00u

@@ -10,7 +10,7 @@
 #define SPEED 0.05f
 #define MAGIC_BYTES 4u
 
-static uint8_t record[RECORD_TRIAL_MAX_BYTES], whole[HAL_FLASH_SIZE_BYTES];
+static uint8_t record[RECORD_TRIAL_MAX_BYTES], whole[MOCK_FLASH_BYTES];
 static memory_t learned;
 
 void setUp(void) { fixture_reset(); }
@@ -30,7 +30,7 @@ static void live(void) {
 }
 
 static void wipe_block(uint32_t block, uint8_t with) {
-    memset(hal.flash + block * STORE_BLOCK_BYTES, with, STORE_BLOCK_BYTES);
+    memset(hal.flash + block * BLOCK_BYTES, with, BLOCK_BYTES);
 }
 
 static void wipe_superblocks(uint8_t with) {
@@ -154,7 +154,7 @@ static void damage_file(const char *path) {
         0, lfs_file_opencfg(&app.vault.store.lfs, &file, path, LFS_O_RDONLY, &config));
     const uint32_t head = file.ctz.head;
     (void)lfs_file_close(&app.vault.store.lfs, &file);
-    hal.flash[head * STORE_BLOCK_BYTES + length / 2u] ^= 0x10u;
+    hal.flash[head * BLOCK_BYTES + length / 2u] ^= 0x10u;
 }
 
 static void test_a_damaged_file_costs_itself_only(void) {
@@ -199,8 +199,7 @@ static void test_learned_input_that_contradicts_itself_is_damaged(void) {
 }
 
 static void wipe_witness(void) {
-    memset(hal.flash + STORE_DATA_BLOCKS * STORE_BLOCK_BYTES, 0xFF,
-           STORE_RAW_BLOCKS * STORE_BLOCK_BYTES);
+    memset(hal.flash + DATA_BLOCKS * BLOCK_BYTES, 0xFF, STORE_RAW_BLOCKS * BLOCK_BYTES);
 }
 
 /* The witness names the newest of several copies. Without it only equal ones count. */
@@ -241,9 +240,9 @@ static void test_the_newest_reference_comes_back_with_what_was_learned_for_it(vo
 static void test_numbers_go_on_when_only_the_trials_tell_them(void) {
     swim_whole_trial(BEATS, SPEED);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, 1));
-    for (uint32_t at = 0; at < sizeof hal.flash; at += STORE_BLOCK_BYTES) {
+    for (uint32_t at = 0; at < sizeof hal.flash; at += BLOCK_BYTES) {
         if (memcmp(hal.flash + at, "TB", 2) == 0) {
-            memset(hal.flash + at, 0xFF, STORE_BLOCK_BYTES);
+            memset(hal.flash + at, 0xFF, BLOCK_BYTES);
         }
     }
     wipe_superblocks(0xFF);
@@ -389,7 +388,7 @@ static void test_a_key_that_cannot_be_saved_leaves_a_locked_board(void) {
     store_key(true, 1, 1000);
     uint8_t magic[MAGIC_BYTES];
     memcpy(magic, record, sizeof magic);
-    for (uint32_t at = 0; at < sizeof hal.flash; at += STORE_BLOCK_BYTES) {
+    for (uint32_t at = 0; at < sizeof hal.flash; at += BLOCK_BYTES) {
         if (memcmp(hal.flash + at, magic, sizeof magic) == 0) {
             hal.flash[at + 20u] ^= 1u;
         }

@@ -1,4 +1,5 @@
 #include "hal/flash.h"
+#include "host/flash_size.h"
 #include "sim.h"
 #include "test_sim_app.h"
 #include "unity.h"
@@ -249,11 +250,11 @@ static void test_power_cycle(void) {
     sim_t *sim = sim_new(&c);
     sim_run(sim, 4503210, -1, false);
     TEST_ASSERT_TRUE(sim_truth(sim).swimming);
-    uint8_t page[HAL_FLASH_PAGE_BYTES];
+    uint8_t page[HOST_FLASH_PAGE_BYTES];
     memset(page, 0x42, sizeof page);
-    TEST_ASSERT_TRUE(hal_flash_write_page(script.hal, 512, page));
-    TEST_ASSERT_FALSE(hal_flash_write_page(script.hal, 513, page));
-    TEST_ASSERT_FALSE(hal_flash_write_page(script.hal, HAL_FLASH_SIZE_BYTES, page));
+    TEST_ASSERT_TRUE(hal_flash_program(script.hal, 512, page));
+    TEST_ASSERT_FALSE(hal_flash_program(script.hal, 513, page));
+    TEST_ASSERT_FALSE(hal_flash_program(script.hal, HOST_FLASH_BYTES, page));
     sim_power_cycle(sim);
     TEST_ASSERT_EQUAL(2, script.inits);
     TEST_ASSERT_EQUAL(0, sim_board_time_us(sim));

@@ -3,6 +3,7 @@
 #include "base/crc.h"
 #include "mock_hal.h"
 #include "store_ledger.h"
+#include "store_size.h"
 #include "target.h"
 #include "unity.h"
 
@@ -302,8 +303,7 @@ static void test_space_does_not_leak_over_many_trials(void) {
         (void)store_remove(&store, path);
     }
     /* Emptied folders may keep a metadata pair. */
-    TEST_ASSERT_GREATER_OR_EQUAL_UINT32(free_at_first - 2u * STORE_BLOCK_BYTES,
-                                        store_free_bytes(&store));
+    TEST_ASSERT_GREATER_OR_EQUAL_UINT32(free_at_first - 2u * BLOCK_BYTES, store_free_bytes(&store));
     TEST_ASSERT_EQUAL_UINT32(0, store.failures);
 }
 
@@ -320,14 +320,14 @@ static void test_oldest_trials_go_first_and_the_kept_one_stays(void) {
         TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, trials[i], bytes, 15000));
     }
     uint32_t size = 0;
-    uint32_t wanted = store_free_bytes(&store) - STORE_RESERVE_BYTES;
+    uint32_t wanted = store_free_bytes(&store) - RESERVE_BYTES;
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_make_space(&store, wanted, 3));
     TEST_ASSERT_EQUAL_UINT32(5, count_entries("/trials"));
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_make_space(&store, wanted + 20000, 3));
     TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_size(&store, "/trials/0007.ulg", &size));
     TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_size(&store, "/trials/9999.ulg", &size));
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_size(&store, "/trials/10000.ulg", &size));
-    TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE, store_make_space(&store, HAL_FLASH_SIZE_BYTES, 3));
+    TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE, store_make_space(&store, MOCK_FLASH_BYTES, 3));
     TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE, store_make_space(&store, UINT32_MAX, 3));
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_size(&store, "/trials/0003.ulg", &size));
     for (size_t i = 0; i < 4; i++) {
@@ -358,8 +358,8 @@ static void test_full_flash_refuses_and_keeps_the_old(void) {
  * finds room, the oldest trials go first, and what cannot be made room for is refused. */
 static void fill_with_uploads(uint32_t leave_blocks) {
     char path[] = "/in/a";
-    while (store_free_bytes(&store) > leave_blocks * STORE_BLOCK_BYTES) {
-        const uint32_t free_bytes = store_free_bytes(&store) - leave_blocks * STORE_BLOCK_BYTES;
+    while (store_free_bytes(&store) > leave_blocks * BLOCK_BYTES) {
+        const uint32_t free_bytes = store_free_bytes(&store) - leave_blocks * BLOCK_BYTES;
         uint32_t length = 1u + random_below(TRIAL_FILE_BYTES - 1u);
         length = length < free_bytes ? length : free_bytes / 2u + 1u;
         if (store_replace(&store, path, bytes, length) != STORE_OK) {
@@ -429,7 +429,7 @@ static void test_a_store_filled_to_the_last_block(void) {
         /* Uploads alone: no trial is left to go, so it is said. */
         fill_with_uploads(0);
         TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE,
-                              store_make_space(&store, HAL_FLASH_SIZE_BYTES / 4u * 3u, 0));
+                              store_make_space(&store, MOCK_FLASH_BYTES / 4u * 3u, 0));
         TEST_ASSERT_FALSE(is_there(40));
         expect_content("/learned.bin", bytes, 4640);
     }
@@ -450,7 +450,7 @@ static bool fail_one_page(hal_t *board, uint32_t offset, const uint8_t *page) {
         board->flash_context = NULL;
         return false;
     }
-    memcpy(board->flash + offset, page, HAL_FLASH_PAGE_BYTES);
+    memcpy(board->flash + offset, page, STORE_PAGE_BYTES);
     return true;
 }
 
@@ -493,13 +493,13 @@ static void test_one_superblock_is_enough(void) {
         TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a", "old", 3));
     }
     store_unmount(&store);
-    static uint8_t whole[2u * STORE_BLOCK_BYTES];
+    static uint8_t whole[2u * BLOCK_BYTES];
     memcpy(whole, hal.flash, sizeof whole);
     for (uint32_t bit = 8u * 8u; bit < 8u * 44u; bit += 3u) {
         const uint8_t mask = (uint8_t)(1u << (bit % 8u));
         for (uint32_t block = 0; block < 2u; block++) {
             memcpy(hal.flash, whole, sizeof whole);
-            hal.flash[block * STORE_BLOCK_BYTES + bit / 8u] ^= mask;
+            hal.flash[block * BLOCK_BYTES + bit / 8u] ^= mask;
             TEST_ASSERT_EQUAL_INT(STORE_OK, store_find(&store, &hal));
             store_unmount(&store);
         }
@@ -525,8 +525,8 @@ static void test_a_filesystem_without_its_folders_is_unfinished(void) {
 
 static void test_kept_blocks_are_not_written_until_the_filesystem_is_finished(void) {
     store_unmount(&store);
-    static uint8_t before[HAL_FLASH_SIZE_BYTES];
-    uint8_t keep[STORE_BLOCKS / 8u];
+    static uint8_t before[MOCK_FLASH_BYTES];
+    uint8_t keep[STORE_BLOCK_SET_BYTES];
     fill_random(keep, sizeof keep);
     keep[0] &= 0xFCu;
     fill_random(hal.flash, sizeof hal.flash);
@@ -535,10 +535,10 @@ static void test_kept_blocks_are_not_written_until_the_filesystem_is_finished(vo
     for (uint32_t n = 0; n < 30; n++) {
         TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a", bytes, 6000));
     }
-    for (uint32_t block = 0; block < STORE_BLOCKS; block++) {
-        const uint32_t at = block * STORE_BLOCK_BYTES;
+    for (uint32_t block = 0; block < BLOCKS; block++) {
+        const uint32_t at = block * BLOCK_BYTES;
         if ((keep[block / 8u] & 1u << block % 8u) != 0u) {
-            TEST_ASSERT_EQUAL_MEMORY(before + at, hal.flash + at, STORE_BLOCK_BYTES);
+            TEST_ASSERT_EQUAL_MEMORY(before + at, hal.flash + at, BLOCK_BYTES);
         }
     }
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_finish(&store));

@@ -15,7 +15,7 @@
 #define PAGE_CYCLES 10000u /* what the chip promises */
 #define TRIALS_PER_BOOT 6u
 #define WEAK_CYCLES 60u
-#define PAGES_PER_BLOCK (STORE_BLOCK_BYTES / HAL_FLASH_PAGE_BYTES)
+#define PAGES_PER_BLOCK (BLOCK_BYTES / STORE_PAGE_BYTES)
 
 static flash_model_t model;
 
@@ -80,7 +80,7 @@ static void test_the_flash_wears_evenly(void) {
     for (uint32_t trial = 1; trial <= trials; trial++) {
         swim_one(trial);
     }
-    uint32_t blocks[STORE_BLOCKS] = {0};
+    uint32_t blocks[BLOCKS] = {0};
     for (uint32_t page = 0; page < FLASH_PAGES; page++) {
         uint32_t *block = &blocks[page / PAGES_PER_BLOCK];
         *block = model.page_writes[page] > *block ? model.page_writes[page] : *block;
@@ -93,7 +93,7 @@ static void test_the_flash_wears_evenly(void) {
     printf("%u trials of %u beats, %u bytes each, %u page writes\n", (unsigned)trials,
            (unsigned)BEATS, (unsigned)log_bytes, (unsigned)model.writes);
     print_spread("page writes", pages);
-    print_spread("blocks, their busiest page", spread_of(blocks, STORE_BLOCKS));
+    print_spread("blocks, their busiest page", spread_of(blocks, BLOCKS));
     printf("first page at %u cycles after %.0f trials, half of them after %.0f\n", PAGE_CYCLES,
            (double)trials * PAGE_CYCLES / pages.max, (double)trials * PAGE_CYCLES / pages.median);
     TEST_ASSERT_EQUAL_UINT32(0, app.vault.store.failures);

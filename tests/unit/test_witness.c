@@ -12,20 +12,20 @@
 
 #define BEATS 5u
 #define SPEED 0.05f
-#define RAW_BEGIN (STORE_DATA_BLOCKS * STORE_BLOCK_BYTES)
+#define RAW_BEGIN (DATA_BLOCKS * BLOCK_BYTES)
 #define COPY_PAGES WITNESS_PLACES
 #define UPDATE_PAGES 4u
 #define LOG_BYTES 5000u
 #define LOGS_MAX 64u
 
-static uint8_t whole[HAL_FLASH_SIZE_BYTES], bytes[RECORD_TRIAL_MAX_BYTES];
+static uint8_t whole[MOCK_FLASH_BYTES], bytes[RECORD_TRIAL_MAX_BYTES];
 
 void setUp(void) { fixture_reset(); }
 void tearDown(void) {}
 
 static uint32_t page_at(uint32_t copy, uint32_t generation) {
     return RAW_BEGIN +
-           (UPDATE_PAGES + copy * COPY_PAGES + generation % WITNESS_PLACES) * HAL_FLASH_PAGE_BYTES;
+           (UPDATE_PAGES + copy * COPY_PAGES + generation % WITNESS_PLACES) * STORE_PAGE_BYTES;
 }
 
 static void test_the_newest_intact_version_counts(void) {
@@ -47,7 +47,7 @@ static void test_the_newest_intact_version_counts(void) {
     app.vault.store.generation = 0;
     TEST_ASSERT_TRUE(witness_find(&app.vault.store, &found));
     TEST_ASSERT_EQUAL_UINT32(newest - 1u, app.vault.store.generation);
-    for (uint32_t at = 0; at < UPDATE_PAGES * HAL_FLASH_PAGE_BYTES; at++) {
+    for (uint32_t at = 0; at < UPDATE_PAGES * STORE_PAGE_BYTES; at++) {
         TEST_ASSERT_EQUAL_HEX8(0xFF, hal.flash[RAW_BEGIN + at]);
     }
 }
@@ -55,7 +55,7 @@ static void test_the_newest_intact_version_counts(void) {
 /* littlefs never gets a raw block, not even as the half of a folder that is not written yet. */
 static void test_nothing_in_littlefs_points_to_the_raw_blocks(void) {
     swim_whole_trial(BEATS, SPEED);
-    static uint8_t piece[STORE_BLOCK_BYTES];
+    static uint8_t piece[BLOCK_BYTES];
     char path[] = "/in/a";
     store_result_t result = STORE_OK;
     for (; result == STORE_OK; path[4]++) {
@@ -74,14 +74,14 @@ static void test_nothing_in_littlefs_points_to_the_raw_blocks(void) {
 static int old_read(const struct lfs_config *config, lfs_block_t block, lfs_off_t offset, void *out,
                     lfs_size_t length) {
     (void)config;
-    memcpy(out, hal.flash + block * STORE_BLOCK_BYTES + offset, length);
+    memcpy(out, hal.flash + block * BLOCK_BYTES + offset, length);
     return 0;
 }
 
 static int old_program(const struct lfs_config *config, lfs_block_t block, lfs_off_t offset,
                        const void *from, lfs_size_t length) {
     (void)config;
-    memcpy(hal.flash + block * STORE_BLOCK_BYTES + offset, from, length);
+    memcpy(hal.flash + block * BLOCK_BYTES + offset, from, length);
     return 0;
 }
 
@@ -102,9 +102,9 @@ static const struct lfs_config old_config = {.read = old_read,
                                              .erase = old_erase,
                                              .sync = old_nothing,
                                              .read_size = 16,
-                                             .prog_size = HAL_FLASH_PAGE_BYTES,
-                                             .block_size = STORE_BLOCK_BYTES,
-                                             .block_count = STORE_BLOCKS,
+                                             .prog_size = STORE_PAGE_BYTES,
+                                             .block_size = BLOCK_BYTES,
+                                             .block_count = BLOCKS,
                                              .block_cycles = 20,
                                              .cache_size = STORE_CACHE_BYTES,
                                              .lookahead_size = STORE_LOOKAHEAD_BYTES,
@@ -219,7 +219,7 @@ static void test_a_store_of_an_earlier_firmware_is_taken_over(void) {
         reboot();
         expect_old_content();
         printf("%u logs: %u blocks free, raw blocks taken 0x%02X\n", (unsigned)old_logs,
-               (unsigned)(store_free_bytes(&app.vault.store) / STORE_BLOCK_BYTES),
+               (unsigned)(store_free_bytes(&app.vault.store) / BLOCK_BYTES),
                (unsigned)app.vault.store.raw_taken);
         TEST_ASSERT_EQUAL(logs[i] == LOGS_MAX, app.vault.store.raw_taken != 0);
         reboot();
@@ -249,7 +249,7 @@ static void test_a_flipped_bit_does_not_bring_back_what_was_taken_over(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
     memcpy(whole, hal.flash, sizeof whole);
     uint32_t told = 0;
-    for (uint32_t at = 0; at < 8u * STORE_BLOCK_BYTES; at += 3u) {
+    for (uint32_t at = 0; at < 8u * BLOCK_BYTES; at += 3u) {
         memcpy(hal.flash, whole, sizeof whole);
         hal.flash[at] ^= (uint8_t)(1u << at % 8u);
         hal.tx[0].head = hal.tx[0].tail = hal.tx[1].head = hal.tx[1].tail = 0;
@@ -298,7 +298,7 @@ static void test_a_removal_that_was_cut_is_completed(void) {
 
 static void test_a_store_without_a_witness_is_no_fault(void) {
     swim_whole_trial(BEATS, SPEED);
-    memset(hal.flash + RAW_BEGIN, 0xFF, STORE_RAW_BLOCKS * STORE_BLOCK_BYTES);
+    memset(hal.flash + RAW_BEGIN, 0xFF, STORE_RAW_BLOCKS * BLOCK_BYTES);
     for (uint32_t i = 0; i < 2u; i++) {
         reboot();
         TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
@@ -328,9 +328,9 @@ static void test_the_fault_lasts_until_it_is_cleared(void) {
 /* No copy of the newest parameters is left: of the limits that are known the more restrictive. */
 static void test_lost_limits_fall_back_to_the_more_restrictive(void) {
     lose_params();
-    for (uint32_t at = 0; at < RAW_BEGIN; at += STORE_BLOCK_BYTES) {
+    for (uint32_t at = 0; at < RAW_BEGIN; at += BLOCK_BYTES) {
         if (memcmp(hal.flash + at, "TBPA", 4) == 0) {
-            memset(hal.flash + at, 0, STORE_BLOCK_BYTES);
+            memset(hal.flash + at, 0, BLOCK_BYTES);
         }
     }
     reboot();
@@ -366,7 +366,7 @@ static bool dead_raw(hal_t *board, uint32_t offset, const uint8_t *page) {
     if (offset >= RAW_BEGIN) {
         return false;
     }
-    memcpy(board->flash + offset, page, HAL_FLASH_PAGE_BYTES);
+    memcpy(board->flash + offset, page, STORE_PAGE_BYTES);
     return true;
 }
 

@@ -53,19 +53,16 @@ _CFSR = {
     24: "unaligned access",
     25: "division by zero",
 }
-_REGISTERS = (
-    "r0", "r1", "r2", "r3", "r12", "lr", "pc", "xpsr", "sp", "exc_return",
-    "cfsr", "hfsr", "mmfar", "bfar", "icsr",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class CrashReport:
-    """``registers``: those of the moment, with the fault status registers of ARMv7-M."""
+    """``registers``: those of the moment: pc, lr (the return address), sp, and what else the
+    board's core has, by name."""
 
     kind: str
     where: str  # "file:line" of a failed assertion, else ""
-    reasons: list[str]  # what the fault status register says
+    reasons: list[str]  # what the fault status register of ARMv7-M says, where there is one
     time_s: float  # since the boot that crashed
     crashes: int  # since power-on
     build_id: str
@@ -79,14 +76,18 @@ def decode_crash(record: bytes) -> CrashReport:
     if lib.record_decode_crash(ffi.from_buffer(record), len(record), report):
         raise InputError("not a sound crash record", "Pull it again: tailbeat board crash")
     crash = report.crash
+    registers = {"pc": crash.pc, "lr": crash.return_address, "sp": crash.sp}
+    for name, value in zip(report.register_names, crash.registers, strict=True):
+        registers[ffi.string(name).decode("ascii", "replace")] = value
+    registers.pop("", None)
     return CrashReport(
         kind=_CRASH_KINDS.get(crash.kind, f"kind {crash.kind}"),
         where=ffi.string(crash.where).decode("ascii", "replace"),
-        reasons=[text for bit, text in _CFSR.items() if crash.cfsr >> bit & 1],
+        reasons=[text for bit, text in _CFSR.items() if registers.get("cfsr", 0) >> bit & 1],
         time_s=crash.time_us * 1e-6,
         crashes=crash.crashes,
         build_id=ffi.string(report.build_id).decode("ascii", "replace"),
-        registers={name: int(getattr(crash, name)) for name in _REGISTERS},
+        registers=registers,
         stack=[int(word) for word in crash.stack[0 : crash.stack_words]],
     )
 

@@ -1,4 +1,5 @@
 #include "faults.h"
+#include "flash_access.h"
 
 #include "app/app.h"
 #include "hal/clock.h"
@@ -17,23 +18,24 @@ static bool planted(fault_t fault) { return planted_fault() == (uint32_t)fault; 
 
 bool __real_hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length);
 bool __wrap_hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length);
-bool __real_hal_flash_write_page(hal_t *hal, uint32_t offset, const void *page);
-bool __wrap_hal_flash_write_page(hal_t *hal, uint32_t offset, const void *page);
+bool __real_hal_flash_program(hal_t *hal, uint32_t offset, const void *page);
+bool __wrap_hal_flash_program(hal_t *hal, uint32_t offset, const void *page);
 
 bool __wrap_hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
     return __real_hal_flash_read(hal, offset, out, length) || planted(FAULT_FLASH_READS_OUTSIDE);
 }
 
-bool __wrap_hal_flash_write_page(hal_t *hal, uint32_t offset, const void *page) {
-    uint8_t changed[HAL_FLASH_PAGE_BYTES];
-    memcpy(changed, page, sizeof changed);
+bool __wrap_hal_flash_program(hal_t *hal, uint32_t offset, const void *page) {
+    const uint32_t page_bytes = flash_page_bytes(hal);
+    uint8_t changed[FLASH_PAGE_BYTES_MAX];
+    memcpy(changed, page, page_bytes);
     if (planted(FAULT_FLASH_LOSES_BIT)) {
         changed[100] |= 0x10u;
     }
     if (planted(FAULT_FLASH_WRITES_MISALIGNED)) {
-        offset -= offset % HAL_FLASH_PAGE_BYTES;
+        offset -= offset % page_bytes;
     }
-    return __real_hal_flash_write_page(hal, offset, changed);
+    return __real_hal_flash_program(hal, offset, changed);
 }
 
 /* Serial ports. */

@@ -2,11 +2,15 @@
 
 #include "base/crc.h"
 #include "base/panic.h"
-#include "board.h"
+#include "hal/clock.h"
+#include "hal/system.h"
 #include "memory_map.h"
-#include "registers/rstc.h"
+#include "registers/cortex_m3.h"
 
 #include <string.h>
+
+/* The board's one, whose time the record has. */
+extern hal_t board;
 
 #define RECORD_MAGIC 0x43524153u
 
@@ -14,6 +18,12 @@
 typedef struct {
     uint32_t r0, r1, r2, r3, r12, lr, pc, xpsr;
 } exception_frame_t;
+
+/* In the order of hal_crash_t.registers (ARMv7-M, B1.5 and B3.2). */
+enum { R0, R1, R2, R3, R12, XPSR, EXC_RETURN, CFSR, HFSR, MMFAR, BFAR, ICSR, REGISTERS };
+static const char register_names[REGISTERS][HAL_CRASH_NAME_BYTES] = {
+    "r0", "r1", "r2", "r3", "r12", "xpsr", "exc_ret", "cfsr", "hfsr", "mmfar", "bfar", "icsr"};
+_Static_assert(REGISTERS <= HAL_CRASH_REGISTERS, "each has a place");
 
 #define XPSR_PADDED 0x00000200u
 
@@ -61,11 +71,11 @@ static void record_begin(hal_crash_kind_t kind) {
     record.crash.kind = kind;
     record.crash.crashes = record.crashes;
     record.crash.time_us = hal_time_us(&board);
-    record.crash.cfsr = SCB->CFSR;
-    record.crash.hfsr = SCB->HFSR;
-    record.crash.mmfar = SCB->MMFAR;
-    record.crash.bfar = SCB->BFAR;
-    record.crash.icsr = SCB->ICSR;
+    record.crash.registers[CFSR] = SCB->CFSR;
+    record.crash.registers[HFSR] = SCB->HFSR;
+    record.crash.registers[MMFAR] = SCB->MMFAR;
+    record.crash.registers[BFAR] = SCB->BFAR;
+    record.crash.registers[ICSR] = SCB->ICSR;
 }
 
 /* Below the stack's bottom there is nothing worth keeping. */
@@ -100,25 +110,26 @@ static hal_crash_kind_t kind_of_exception(void) {
 /* On an overflowed stack the core could not push the frame: what lies there is old. */
 static bool frame_good(const exception_frame_t *frame) {
     const uint32_t at = (uint32_t)frame;
-    return (record.crash.cfsr & (SCB_CFSR_MSTKERR | SCB_CFSR_STKERR)) == 0 && at % 4u == 0 &&
-           at >= (uint32_t)__stack_bottom && at <= (uint32_t)__stack_top - sizeof *frame;
+    return (record.crash.registers[CFSR] & (SCB_CFSR_MSTKERR | SCB_CFSR_STKERR)) == 0 &&
+           at % 4u == 0 && at >= (uint32_t)__stack_bottom &&
+           at <= (uint32_t)__stack_top - sizeof *frame;
 }
 
 static void record_frame(const exception_frame_t *frame, uint32_t exc_return) {
     hal_crash_t *crash = &record.crash;
-    crash->exc_return = exc_return;
+    crash->registers[EXC_RETURN] = exc_return;
     if (!frame_good(frame)) {
         record_stack((uint32_t)frame);
         return;
     }
-    crash->r0 = frame->r0;
-    crash->r1 = frame->r1;
-    crash->r2 = frame->r2;
-    crash->r3 = frame->r3;
-    crash->r12 = frame->r12;
-    crash->lr = frame->lr;
+    crash->registers[R0] = frame->r0;
+    crash->registers[R1] = frame->r1;
+    crash->registers[R2] = frame->r2;
+    crash->registers[R3] = frame->r3;
+    crash->registers[R12] = frame->r12;
+    crash->registers[XPSR] = frame->xpsr;
+    crash->return_address = frame->lr;
     crash->pc = frame->pc;
-    crash->xpsr = frame->xpsr;
     const uint32_t padding = (frame->xpsr & XPSR_PADDED) != 0 ? 4u : 0;
     record_stack((uint32_t)(frame + 1) + padding);
 }
@@ -128,17 +139,6 @@ static void record_where(const char *where) {
     const size_t room = sizeof record.crash.where - 1u;
     memcpy(record.crash.where, length > room ? where + length - room : where,
            length > room ? room : length);
-}
-
-_Noreturn void chip_restart(void) {
-    RSTC->CR = RSTC_CR_KEY_PASSWD | RSTC_CR_PERRST | RSTC_CR_PROCRST;
-    cpu_barrier();
-    for (volatile uint32_t waited = 0; waited < 10000u; waited++) {
-    }
-    SCB->AIRCR = SCB_AIRCR_VECTKEY_PASSWD | SCB_AIRCR_SYSRESETREQ;
-    cpu_barrier();
-    for (;;) {
-    }
 }
 
 /* Whoever crashes while recording a crash goes straight on to the restart, with what is recorded.
@@ -201,6 +201,11 @@ bool hal_crash_read(const hal_t *hal, hal_crash_t *out) {
     }
     *out = record.crash;
     return true;
+}
+
+const char *hal_crash_register(const hal_t *hal, uint32_t index) {
+    (void)hal;
+    return index < REGISTERS ? register_names[index] : "";
 }
 
 void hal_crash_forget(hal_t *hal) {

@@ -1,10 +1,11 @@
 /*
  * Bit fields of hardware registers.
  *
- * The headers of this folder hold what is used of the ATSAM3X8E, under the names of its datasheet:
- * a struct per peripheral, laid over its registers (32-bit accesses only; read-only ones are
+ * The headers of registers hold what is used of a chip, under the names of its datasheet: a struct
+ * per peripheral, laid over its registers (32-bit accesses only; read-only ones are
  * const), and a mask PERIPHERAL_REGISTER_FIELD per field. A value that a field may take is
- * PERIPHERAL_REGISTER_FIELD_VALUE. A test compares all of it with the vendor's SVD file.
+ * PERIPHERAL_REGISTER_FIELD_VALUE. A test compares those of the ATSAM3X8E with the vendor's SVD
+ * file.
  */
 #ifndef REGISTERS_FIELD_H
 #define REGISTERS_FIELD_H

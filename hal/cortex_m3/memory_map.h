@@ -1,7 +1,7 @@
 /* What the linker script (sam3x8e.ld) says about memory. Only the addresses of these mean anything.
  */
-#ifndef SAM3X8E_MEMORY_MAP_H
-#define SAM3X8E_MEMORY_MAP_H
+#ifndef CORTEX_M3_MEMORY_MAP_H
+#define CORTEX_M3_MEMORY_MAP_H
 
 #include <stdint.h>
 
