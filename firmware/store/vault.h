@@ -65,9 +65,9 @@ store_result_t vault_save_key(vault_t *vault, const key_record_t *key);
 store_result_t vault_save_counter(vault_t *vault, uint32_t next_trial);
 store_result_t vault_save_crash(vault_t *vault, const crash_report_t *report);
 
-/* A record of parameters, for the monitor (monitor/monitor.h): of |params|, and the stored one, or of
- * the defaults if none is. In the vault's buffer until its next call; who reads it later sees by its
- * CRC whether it is still whole. */
+/* A record of parameters, for the monitor (monitor/monitor.h): of |params|, and the stored one, or
+ * of the defaults if none is. In the vault's buffer until its next call; who reads it later sees by
+ * its CRC whether it is still whole. */
 typedef struct {
     const uint8_t *bytes;
     size_t length;

@@ -60,7 +60,8 @@ void serial_init(hal_t *hal);
 void servo_init(hal_t *hal);
 void time_start_ticks(void);
 
-/* Once per tick, before the firmware's: the timer is acknowledged, the pulses that begin now go out.
+/* Once per tick, before the firmware's: the timer is acknowledged, the pulses that begin now go
+ * out.
  */
 void time_tick_isr(hal_t *hal);
 void servo_frame_isr(hal_t *hal);

@@ -5,7 +5,8 @@
 #include "registers.h"
 #include "registers/cortex_m3.h"
 
-/* Of two regions that hold an address the higher number counts: this one lies in that of the DDR. */
+/* Of two regions that hold an address the higher number counts: this one lies in that of the DDR.
+ */
 #define REGION_GUARDED 2u
 #define OF_ITS_BYTES FIELD(MPU_RASR_SIZE, __builtin_ctz(HAL_GUARDED_BYTES) - 1)
 

@@ -161,8 +161,8 @@ void hal_reset(hal_t *hal) { (void)hal; }
 void hal_irq_lock(hal_t *hal) { (void)hal; }
 void hal_irq_unlock(hal_t *hal) { (void)hal; }
 
-/* An MPU region that is read-only but between open and close keeps a wild write out. All zeros after
- * each reset. */
+/* An MPU region that is read-only but between open and close keeps a wild write out. All zeros
+ * after each reset. */
 void *hal_guarded(hal_t *hal) { return hal->guarded; }
 void hal_guard_open_isr(hal_t *hal) { (void)hal; }
 void hal_guard_close_isr(hal_t *hal) { (void)hal; }

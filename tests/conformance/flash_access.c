@@ -33,6 +33,6 @@ bool flash_accepts(hal_t *hal, uint32_t offset, const void *page) {
 bool flash_blank(hal_t *hal, uint32_t offset) {
     uint8_t blank[FLASH_PAGE_BYTES_MAX];
     memset(blank, 0xFF, sizeof blank);
-    return hal_flash_erase(hal, offset) && (!hal_flash_geometry(hal)->program_erases ||
-                                            hal_flash_program(hal, offset, blank));
+    return hal_flash_erase(hal, offset) &&
+           (!hal_flash_geometry(hal)->program_erases || hal_flash_program(hal, offset, blank));
 }

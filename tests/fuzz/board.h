@@ -5,10 +5,10 @@
 
 #include "app/app.h"
 #include "app/commands.h"
-#include "store/critical.h"
 #include "base/crc.h"
 #include "fuzz.h"
 #include "mock_hal.h"
+#include "store/critical.h"
 
 #define BOARD_PASS_US 20000u
 #define BOARD_HOST 255u

@@ -81,8 +81,8 @@ static void fill_history(buffer_learner_t *learner) {
     }
 }
 
-law_result_t buffer_learner_init(buffer_learner_t *learner, const buffer_learner_config_t *config, const number_t *first,
-                          void *memory, size_t memory_bytes) {
+law_result_t buffer_learner_init(buffer_learner_t *learner, const buffer_learner_config_t *config,
+                                 const number_t *first, void *memory, size_t memory_bytes) {
     const size_t needed = buffer_learner_bytes(config);
     if (needed == 0 || memory_bytes < needed) {
         return LAW_BAD_CONFIG;

@@ -15,13 +15,14 @@
  * what the plant got.
  *
  *   buffer_learner_init(...);
- *   for each trial:  for each sample k:  u = buffer_learner_output(k); ...; buffer_learner_measure(k, e);
- *                    buffer_learner_end(valid);
+ *   for each trial:  for each sample k:  u = buffer_learner_output(k); ...;
+ * buffer_learner_measure(k, e); buffer_learner_end(valid);
  *
  * Numbers of memory per sample (buffer_learner_bytes; and a byte or so each for what was measured):
  * LAST 3, MEAN 5, WINDOW of w trials 3 + 2*(w-1).
- * buffer_learner_output and buffer_learner_measure cost a few operations and may be called from an interrupt that
- * nothing else interrupts; buffer_learner_end costs law.h's 30 operations per sample and trial remembered.
+ * buffer_learner_output and buffer_learner_measure cost a few operations and may be called from an
+ * interrupt that nothing else interrupts; buffer_learner_end costs law.h's 30 operations per sample
+ * and trial remembered.
  *
  * The board learns with law.h directly: it keeps past trials in its store, not in RAM (past.h).
  * The laws that correct while the plant moves are in feedback.h.
@@ -50,7 +51,7 @@ typedef struct {
     law_t law;
     uint16_t samples; /* 1..65535: law.beats */
     past_kind_t past;
-    buffer_learner_history_t history;                /* of PAST_WINDOW */
+    buffer_learner_history_t history;         /* of PAST_WINDOW */
     uint16_t window;                          /* 1..LEARNER_WINDOW_MAX; of PAST_WINDOW */
     law_weights_t weight[LEARNER_WINDOW_MAX]; /* newest first; of PAST_WINDOW */
 } buffer_learner_config_t;
@@ -70,11 +71,11 @@ typedef struct {
 /* Size of the buffer for buffer_learner_init; 0 when the config does not hold together. */
 size_t buffer_learner_bytes(const buffer_learner_config_t *config);
 
-/* |first|: the first input, samples values; NULL = zeros. |memory|: buffer_learner_bytes() at least,
- * aligned for number_t, and the learner's from now on. LAW_BAD_CONFIG, LAW_BAD_INPUT (|first| not
- * finite). */
-law_result_t buffer_learner_init(buffer_learner_t *learner, const buffer_learner_config_t *config, const number_t *first,
-                          void *memory, size_t memory_bytes);
+/* |first|: the first input, samples values; NULL = zeros. |memory|: buffer_learner_bytes() at
+ * least, aligned for number_t, and the learner's from now on. LAW_BAD_CONFIG, LAW_BAD_INPUT
+ * (|first| not finite). */
+law_result_t buffer_learner_init(buffer_learner_t *learner, const buffer_learner_config_t *config,
+                                 const number_t *first, void *memory, size_t memory_bytes);
 
 /* What the plant gets at sample k < samples. */
 number_t buffer_learner_output(const buffer_learner_t *learner, uint16_t k);

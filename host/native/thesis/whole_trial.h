@@ -7,7 +7,8 @@
 /* buffer_learner_output of every sample into |input| (samples values). */
 void whole_trial_input(const buffer_learner_t *learner, double *input);
 
-/* buffer_learner_measure for every sample, then buffer_learner_end. |error|: samples values; NaN = not measured.
+/* buffer_learner_measure for every sample, then buffer_learner_end. |error|: samples values; NaN =
+ * not measured.
  */
 law_result_t whole_trial_learn(buffer_learner_t *learner, const double *error, uint16_t valid,
                                law_report_t *report);
