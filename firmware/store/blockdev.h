@@ -2,7 +2,7 @@
 #ifndef STORE_BLOCKDEV_H
 #define STORE_BLOCKDEV_H
 
-#include "store/store.h"
+#include "store/store_types.h"
 
 /* Fills |store|'s littlefs configuration; |store| must not move afterwards. */
 void blockdev_configure(store_t *store, hal_t *hal);

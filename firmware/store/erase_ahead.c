@@ -1,7 +1,7 @@
 #include "store/erase_ahead.h"
 
 #include "store/blockdev.h"
-#include "store/store_internal.h"
+#include "store/store_call.h"
 
 /* A file's block begins with two of littlefs's pointers on average. */
 #define POINTERS_BYTES 16u

@@ -1,7 +1,7 @@
 #include "store/log_reader.h"
 
 #include "base/crc.h"
-#include "store/store_internal.h"
+#include "store/store_call.h"
 
 #define CRC_PIECE_BYTES 128u
 

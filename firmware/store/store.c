@@ -3,7 +3,6 @@
 #include "base/crc.h"
 #include "store/blockdev.h"
 #include "store/bytes.h"
-#include "store/store_internal.h"
 
 #include <string.h>
 
@@ -18,65 +17,6 @@
 
 /* What is read wrong while the supply comes up must not cost a filesystem. */
 #define MOUNT_TRIES 3u
-
-bool store_begin(store_t *store) {
-    store->reads = 0;
-    store->pages_failed = 0;
-    return store->mounted;
-}
-
-store_result_t store_result(int code) {
-    if (code >= 0) {
-        return STORE_OK;
-    }
-    switch (code) {
-    case LFS_ERR_NOENT:
-        return STORE_NOT_FOUND;
-    case LFS_ERR_NOSPC:
-    case LFS_ERR_NAMETOOLONG: /* littlefs's word for no space for a new name; lengths are checked */
-        return STORE_NO_SPACE;
-    case LFS_ERR_CORRUPT:
-        return STORE_CORRUPT;
-    case LFS_ERR_EXIST:
-    case LFS_ERR_NOTDIR:
-    case LFS_ERR_ISDIR:
-    case LFS_ERR_NOTEMPTY:
-    case LFS_ERR_INVAL:
-    case LFS_ERR_FBIG:
-        return STORE_BAD_ARGUMENT;
-    default:
-        return STORE_IO;
-    }
-}
-
-/* littlefs tries every free block and then says there is no space. That is so when more blocks are
- * free than any one call may write, or no more than pages failed. */
-static bool pages_refused(store_t *store) {
-    if (store->pages_failed == 0) {
-        return false;
-    }
-    const uint32_t free_blocks = store_free_bytes(store) / store_block_bytes(store->hal);
-    return free_blocks >= STORE_RESERVE_BLOCKS || store->pages_failed >= free_blocks;
-}
-
-bool store_take_damage(store_t *store) {
-    const bool hurt = store->hurt;
-    store->hurt = false;
-    return hurt;
-}
-
-store_result_t store_written(store_t *store, int code) {
-    store_result_t result = store_result(code);
-    if (result == STORE_NO_SPACE || result == STORE_CORRUPT || result == STORE_IO) {
-        store->failures++;
-    }
-    if (result == STORE_NO_SPACE) { /* littlefs keeps the page it had begun and stumbles over it */
-        store->lfs.pcache.block = (lfs_block_t)-1;
-        result = pages_refused(store) ? STORE_IO : STORE_NO_SPACE;
-    }
-    store->hurt = store->hurt || result == STORE_CORRUPT || result == STORE_IO;
-    return result;
-}
 
 static bool path_fits(const char *path, size_t room) { return memchr(path, '\0', room) != NULL; }
 
@@ -141,28 +81,6 @@ store_result_t store_finish(store_t *store) {
         }
     }
     return store->mounted ? result : STORE_IO;
-}
-
-/* littlefs visits the blocks of a folder more than once. */
-static int note_block(void *context, lfs_block_t block) {
-    store_usage_t *usage = context;
-    const uint8_t bit = (uint8_t)(1u << block % 8u);
-    if (block >= usage->blocks || (usage->seen[block / 8u] & bit) != 0u) {
-        return LFS_ERR_OK;
-    }
-    usage->seen[block / 8u] |= bit;
-    if (block < usage->data_blocks) {
-        usage->data++;
-    } else {
-        usage->raw_taken |= (uint8_t)(1u << (block - usage->data_blocks));
-    }
-    return LFS_ERR_OK;
-}
-
-bool store_find_usage(store_t *store, store_usage_t *usage) {
-    *usage = (store_usage_t){.blocks = store_blocks(store->hal),
-                             .data_blocks = store_data_blocks(store->hal)};
-    return store_begin(store) && lfs_fs_traverse(&store->lfs, note_block, usage) >= 0;
 }
 
 /* littlefs hands out the raw blocks no more, unless an earlier firmware left files in them: then
@@ -262,12 +180,6 @@ void store_unmount(store_t *store) {
         (void)lfs_unmount(&store->lfs);
         store->mounted = false;
     }
-}
-
-int store_open_short(store_t *store, lfs_file_t *file, struct lfs_file_config *config,
-                     const char *path, int flags) {
-    config->buffer = store->file_cache;
-    return lfs_file_opencfg(&store->lfs, file, path, flags, config);
 }
 
 /* What a file is opened with that carries |generation|, in the byte order of its records. */
@@ -461,13 +373,6 @@ store_result_t store_entry(store_t *store, const char *folder, uint32_t index,
     entry->name[0] = '\0';
     const store_result_t result = store_walk(store, folder, index, take_entry, entry);
     return result == STORE_OK && entry->name[0] == '\0' ? STORE_NOT_FOUND : result;
-}
-
-uint32_t store_free_bytes(store_t *store) {
-    store_usage_t usage;
-    return store_find_usage(store, &usage)
-               ? (usage.data_blocks - usage.data) * store_block_bytes(store->hal)
-               : 0;
 }
 
 bool store_raw_taken(const store_t *store, uint32_t block) {

@@ -1,7 +1,7 @@
-#include "store/store.h"
+#include "store/store_file.h"
 
 #include "base/panic.h"
-#include "store/store_internal.h"
+#include "store/store_call.h"
 
 #include <string.h>
 

@@ -3,7 +3,7 @@
 #include "base/crc.h"
 #include "store/blockdev.h"
 #include "store/bytes.h"
-#include "store/store_internal.h"
+#include "store/store_call.h"
 
 #include <string.h>
 

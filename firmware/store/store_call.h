@@ -1,8 +1,9 @@
-/* Shared by store.c, store_file.c, erase_ahead.c and log_reader.c only. */
-#ifndef STORE_STORE_INTERNAL_H
-#define STORE_STORE_INTERNAL_H
+/* What every call of the store begins and ends with. But for the last two only its own files use
+ * it. Main loop only. */
+#ifndef STORE_STORE_CALL_H
+#define STORE_STORE_CALL_H
 
-#include "store/store.h"
+#include "store/store_types.h"
 
 /* More than any store has, and far from the end of 32 bits. */
 #define STORE_BYTES_MAX 0x40000000u
@@ -24,9 +25,6 @@ bool store_find_usage(store_t *store, store_usage_t *usage);
 /* Begins a call: counts its reads from 0. Whether the store is mounted. */
 bool store_begin(store_t *store);
 
-/* |path| is removed or replaced: who reads it must not read what its blocks hold next. */
-void store_lose_reader(store_t *store, const char *path);
-
 /* Opens a file that is closed within this call; they share one buffer. Returns littlefs's code. */
 int store_open_short(store_t *store, lfs_file_t *file, struct lfs_file_config *config,
                      const char *path, int flags);
@@ -36,5 +34,13 @@ store_result_t store_result(int code);
 
 /* The same for a call that wrote: counts failures. */
 store_result_t store_written(store_t *store, int code);
+
+/* Free bytes in whole blocks. Walks the filesystem. */
+uint32_t store_free_bytes(store_t *store);
+
+/* Whether a write failed since the last question for another reason than a full store: pages did
+ * not take their data, or the filesystem is damaged. One bad page is no failure: littlefs writes
+ * the data elsewhere. */
+bool store_take_damage(store_t *store);
 
 #endif
