@@ -26,6 +26,7 @@
 #include "learn_past.h"
 #include "line_fit.h"
 #include "params/params.h"
+#include "settings/settings.h"
 #include "sim.h"
 #include "speed/estimate.h"
 #include "speed/motion.h"
