@@ -89,10 +89,12 @@ void hal_servo_pulse_isr(hal_t *hal, hal_servo_t servo, uint16_t width_ticks) {
     REQUIRE(servo < HAL_SERVO_COUNT);
     const uint32_t channel = servos[servo].channel;
     const bool held = (PWM->OS & PWM_OUTPUT_L(channel)) != 0;
-    if (width_ticks == 0 || !hal_clock_exact(hal)) {
+    const bool off = width_ticks == 0 || !hal_clock_exact(hal);
+    /* The last pulse is out only when the override holds: until then each tick counts. */
+    DEAD_TICK->CCR = off && held ? TC_CCR_CLKDIS : TC_CCR_CLKEN | TC_CCR_SWTRG;
+    if (off) {
         PWM->OSSUPD = PWM_OUTPUT_L(channel);
         if (held) {
-            DEAD_TICK->CCR = TC_CCR_CLKDIS;
             pin_output(servos[servo].pin, false);
         }
         return;
@@ -100,7 +102,6 @@ void hal_servo_pulse_isr(hal_t *hal, hal_servo_t servo, uint16_t width_ticks) {
     if (held) {
         pin_to_peripheral(servos[servo].pin);
     }
-    DEAD_TICK->CCR = TC_CCR_CLKEN | TC_CCR_SWTRG;
     PWM->CHANNEL[channel].CDTYUPD = clamped(width_ticks);
     PWM->OSCUPD = PWM_OUTPUT_L(channel);
 }
