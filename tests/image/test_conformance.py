@@ -27,7 +27,7 @@ PROGRAM = BUILD / "unit" / "conformance" / "simulated_conformance"
 FAULTY_PROGRAM = PROGRAM.with_name("simulated_conformance_faulty")
 IMAGE = BUILD / "firmware" / "conformance" / "sam3x8e_conformance.elf"
 FAULTY_IMAGE = IMAGE.with_name("sam3x8e_conformance_faulty.elf")
-SLOW_PAGE_US = 10_500.0
+SLOW_PAGE_US = 35_000  # the board gives up after 30 ms
 
 STANDS_STILL = {"lock_keeps_tick_out", "lock_delays_tick", "lock_loses_no_tick"}
 NOT_SIMULATED = STANDS_STILL | {*GROUPS["watchdog"][1], *GROUPS["crash"][1]}
@@ -49,10 +49,11 @@ ON_BOTH = [
         {"serial_write_whole_or_none", "serial_full_ring", "serial_refused_sends_nothing"},
     ),
     (faults.CLOCK_SLOW, "clock", {"tick_period", "clock_rate"}),
-    (faults.PULSES_GO_ON, "servo", {"servo0_stops"}),
     (faults.RESET_CAUSE_WRONG, "restart", {"reset_cause_software"}),
 ]
 ON_SIMULATED = [
+    # On the fish's board the timer that waits for the tick ends them.
+    (faults.PULSES_GO_ON, "servo", {"servo0_stops"}),
     (faults.BAUD_ACCEPTED, "serial", {"serial_baud_impossible"}),
     (faults.SERIAL_SENDS_REFUSED, "serial", {"serial_refused_sends_nothing"}),
     (faults.CLOCK_GOES_BACK, "clock", {"clock_monotonic"}),
@@ -133,7 +134,8 @@ def test_a_fault_of_the_emulated_board_is_found(fault: int, group: str, expected
 
 def test_a_slow_flash_is_found() -> None:
     board = EmulatedBoard(built(IMAGE), page_us=SLOW_PAGE_US)
-    assert failed_on(board, ["flash"]) == {"flash_time_min", "flash_time_mean", "flash_time_max"}
+    late = {"flash_reads_back", "flash_erases", "flash_time_max"}
+    assert failed_on(board, ["flash"]) == late
 
 
 def test_two_runs_are_the_same() -> None:
