@@ -29,8 +29,7 @@ static store_result_t keep(vault_t *vault, critical_t kind, size_t length) {
 bool vault_load_params(vault_t *vault, params_t *out) {
     uint16_t ignored = 0;
     const size_t length = vault_read(vault, PARAMS_PATH);
-    return length != 0 &&
-           record_decode_params(vault->record, length, out, &ignored) == FAULT_NONE;
+    return length != 0 && record_decode_params(vault->record, length, out, &ignored) == FAULT_NONE;
 }
 
 bool vault_load_reference(vault_t *vault, reference_t *out) {
@@ -170,8 +169,7 @@ static bool take(vault_t *vault, vault_upload_t upload, const vault_stamp_t *sta
     uint32_t length = 0, crc = 0;
     return store_size(&vault->store, path, &length) == STORE_OK && length == stamp->length_bytes &&
            length <= sizeof vault->record && store_crc32(&vault->store, path, &crc) == STORE_OK &&
-           crc == stamp->crc &&
-           store_load(&vault->store, path, vault->record, length) == STORE_OK;
+           crc == stamp->crc && store_load(&vault->store, path, vault->record, length) == STORE_OK;
 }
 
 fault_t vault_take_upload(vault_t *vault, vault_upload_t upload, const vault_stamp_t *stamp,
