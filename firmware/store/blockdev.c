@@ -30,13 +30,14 @@
  * before the watchdog bites. On a sound filesystem 3000 random calls read 28 000 times at most; one
  * filled to the brim with files of a block each needs 37 600. */
 #define READS_MAX 60000u
+#define READS_MAX_BLOCKS 128u /* of such a store; with more blocks they grow as the square */
 
 /* The store is mounted and looked through before the main loop feeds the watchdog. Hence a feed
  * every FEED_READS reads: 0.3 s on the slowest clock (12 MHz), 0.05 s on the usual one. Feeding
- * ends after FED_READS_MAX reads since the mount, so that a board that reads for ever is restarted.
+ * ends some reads after the mount, so that a board that reads for ever is restarted.
  */
 #define FEED_READS 256u
-#define FED_READS_MAX (4u * READS_MAX)
+#define FED_READS_MAX 4u /* times as many as one call may read */
 
 static uint32_t flash_offset(const store_t *store, lfs_block_t block, lfs_off_t offset) {
     return block * store_block_bytes(store->hal) + offset;
@@ -114,20 +115,28 @@ static void refresh_page(store_t *store, uint32_t at) {
     }
 }
 
-/* A page cannot be written again where the block must be erased first: there the commit is left
- * out, and store_find moves its folder. Zeros, for littlefs takes its cache for what was read. */
-static int settle(store_t *store, uint32_t at, uint32_t where, void *out, lfs_size_t length) {
-    if (store_erases_first(store->hal)) {
-        store->wavers = true;
-        memset(out, 0, length);
-        return LFS_ERR_CORRUPT;
+/* A page cannot be written again where its block must be erased first: there what was read of it
+ * becomes zeros, so that the commit is left out, and store_find moves its folder. */
+static void blot_wavering(store_t *store, uint32_t at, uint8_t *read, uint32_t length) {
+    uint32_t where = 0;
+    for (uint32_t done = 0, part = 0; done < length; done += part) {
+        const uint32_t in_page = STORE_PAGE_BYTES - (at + done) % STORE_PAGE_BYTES;
+        part = in_page < length - done ? in_page : length - done;
+        if (wavers(store->hal, at + done, read + done, part, &where)) {
+            memset(read + done, 0, part);
+            store->wavers = true;
+        }
     }
-    refresh_page(store, where);
-    return hal_flash_read(store->hal, at, out, length) ? LFS_ERR_OK : LFS_ERR_IO;
+}
+
+static uint32_t reads_max(const store_t *store) {
+    const uint32_t blocks = store_blocks(store->hal);
+    return READS_MAX * blocks / READS_MAX_BLOCKS * blocks / READS_MAX_BLOCKS;
 }
 
 static void feed_watchdog(store_t *store) {
-    if (store->fed_reads < FED_READS_MAX && ++store->fed_reads % FEED_READS == 0) {
+    if (store->fed_reads < FED_READS_MAX * reads_max(store) &&
+        ++store->fed_reads % FEED_READS == 0) {
         hal_watchdog_feed(store->hal);
     }
 }
@@ -136,7 +145,7 @@ static int read_block(const struct lfs_config *config, lfs_block_t block, lfs_of
                       void *out, lfs_size_t length) {
     store_t *store = config->context;
     const uint32_t at = flash_offset(store, block, offset);
-    if (store->reads >= READS_MAX) {
+    if (store->reads >= reads_max(store)) {
         store->mounted = false;
         return LFS_ERR_IO;
     }
@@ -145,9 +154,17 @@ static int read_block(const struct lfs_config *config, lfs_block_t block, lfs_of
     if (!hal_flash_read(store->hal, at, out, length)) {
         return LFS_ERR_IO;
     }
+    if (store->mounted) {
+        return LFS_ERR_OK;
+    }
     uint32_t where = at;
-    const bool stays = store->mounted || !wavers(store->hal, at, out, length, &where);
-    return stays ? LFS_ERR_OK : settle(store, at, where, out, length);
+    if (store_erases_first(store->hal)) {
+        blot_wavering(store, at, out, length);
+    } else if (wavers(store->hal, at, out, length, &where)) {
+        refresh_page(store, where);
+        return hal_flash_read(store->hal, at, out, length) ? LFS_ERR_OK : LFS_ERR_IO;
+    }
+    return LFS_ERR_OK;
 }
 
 static bool may_write(const store_t *store, lfs_block_t block) {
@@ -180,7 +197,14 @@ static int erase_block(const struct lfs_config *config, lfs_block_t block) {
     if (!store_erases_first(store->hal)) {
         return LFS_ERR_OK;
     }
-    return may_write(store, block) && blockdev_erase(store, block) ? LFS_ERR_OK : LFS_ERR_CORRUPT;
+    if (!may_write(store, block)) {
+        return LFS_ERR_CORRUPT;
+    }
+    const bool erased = blockdev_erase(store, block);
+    if (!erased && !store->erase_forbidden) {
+        store->pages_failed++;
+    }
+    return erased ? LFS_ERR_OK : LFS_ERR_CORRUPT;
 }
 
 static int sync_device(const struct lfs_config *config) {

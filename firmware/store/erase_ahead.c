@@ -91,5 +91,9 @@ store_result_t erase_ahead_step(store_t *store, uint32_t room_bytes, bool *done)
     }
     const uint32_t blank = erase_free(store, &usage, wanted, &step);
     *done = blank == wanted && !step.erased;
+    if (step.tries == TRIES && !step.erased) {
+        store->hurt = true;
+        return STORE_IO;
+    }
     return goes_on(&step) && blank < wanted ? STORE_NO_SPACE : STORE_OK;
 }

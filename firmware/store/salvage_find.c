@@ -85,6 +85,9 @@ static size_t gather(vault_t *vault, uint8_t block, chain_t *chain) {
         if (chain->pieces < PIECES_MAX && chain->begin[chain->pieces] < sizeof vault->record) {
             chain->block[chain->pieces++] = FIRST_BLOCK - 1u;
         }
+        if (chain->pieces == 1u) { /* the block alone would hold the longest record */
+            return 0;
+        }
         while (!next_candidate(vault, chain)) {
             if (--chain->pieces <= 1u || chain->tries > TRIES_MAX) {
                 return 0;

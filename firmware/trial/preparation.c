@@ -14,7 +14,7 @@ void preparation_init(preparation_t *preparation, learner_t *learner, const tria
 }
 
 void preparation_begin(preparation_t *preparation) {
-    preparation->room_made = false;
+    preparation->space_made = preparation->room_made = false;
     preparation->guess_tried = preparation->guess_stored = !learner_has_guess(preparation->learner);
 }
 
@@ -59,14 +59,19 @@ static store_result_t erase_step(const preparation_t *preparation, bool *done) {
     return erase_ahead_step(&learner->vault->store, log_room(learner), done);
 }
 
-static store_result_t make_room_step(preparation_t *preparation, bool *done) {
-    const store_result_t result = make_space_step(preparation, done);
-    return *done && erases_first(preparation) ? erase_step(preparation, done) : result;
+/* Space first: making it writes, and compacts folders. */
+static store_result_t make_room_step(preparation_t *preparation) {
+    if (preparation->space_made && erases_first(preparation)) {
+        return erase_step(preparation, &preparation->room_made);
+    }
+    const store_result_t result = make_space_step(preparation, &preparation->space_made);
+    preparation->room_made = preparation->space_made && !erases_first(preparation);
+    return result;
 }
 
 void preparation_step(preparation_t *preparation) {
     if (!preparation->room_made) {
-        const store_result_t result = make_room_step(preparation, &preparation->room_made);
+        const store_result_t result = make_room_step(preparation);
         preparation->room_made = preparation->room_made || result != STORE_OK;
     } else if (!preparation->guess_tried) {
         (void)preparation_save_guess(preparation);

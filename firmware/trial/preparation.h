@@ -12,6 +12,7 @@
 typedef struct {
     learner_t *learner;
     const trial_run_t *run;
+    bool space_made;                /* free, but perhaps not blank yet */
     bool room_made;                 /* for the log of the trial that the board is armed for */
     bool guess_tried, guess_stored; /* its first amplitudes, if they are a guess */
 } preparation_t;

@@ -20,6 +20,7 @@ static app_t app;
 static bool host_alive;      /* heartbeats of the host that armed keep coming */
 static bool camera_on;       /* a vision sample every 40 ms */
 static float swim_speed_m_s; /* what the camera sees */
+static bool impatient;       /* starts without waiting for blank blocks */
 
 static inline void fixture_reset(void) {
     mock_hal_init(&hal);
@@ -77,7 +78,20 @@ static inline void run_ticks_ms(uint32_t duration_ms) {
     }
 }
 
+/* A host that waits until the armed board has its blank blocks, on a flash that erases first. */
+static inline void wait_for_blank_blocks(app_t *board) {
+    preparation_t *preparation = &board->trial.preparation;
+    for (uint32_t i = 0; i < 1000u && MOCK_FLASH_ERASES_FIRST &&
+                         board->supervisor.state == STATE_ARMED && !preparation->room_made;
+         i++) {
+        preparation_step(preparation);
+    }
+}
+
 static fault_t command(link_command_id_t id, uint32_t trial) {
+    if (id == LINK_COMMAND_START && !impatient) {
+        wait_for_blank_blocks(&app);
+    }
     const link_command_t request = {.id = id,
                                     .trial = trial,
                                     .issued_s = (float)hal.now_us * 1e-6f,

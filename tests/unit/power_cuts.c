@@ -20,16 +20,17 @@ static struct {
     uint32_t cuts, writes, pairs_wanted, pairs_done, at;
     uint32_t seed;
     cut_kind_t kind, second_kind;
-    uint32_t second_in;
+    uint32_t second_in, offset;
+    bool erase;
 } now;
 
 void power_cuts_explain(void) {
     if (now.scenario == NULL || !Unity.CurrentTestFailed) {
         return;
     }
-    printf("%s: cut %u of kind %u, then %u of kind %u, seed %u\n", now.scenario->name,
-           (unsigned)now.at, now.kind, (unsigned)now.second_in, now.second_kind,
-           (unsigned)now.seed);
+    printf("%s: cut %u (%s at %u) of kind %u, then %u of kind %u, seed %u\n", now.scenario->name,
+           (unsigned)now.at, now.erase ? "erase" : "write", (unsigned)now.offset, now.kind,
+           (unsigned)now.second_in, now.second_kind, (unsigned)now.seed);
 }
 
 /* What is left of the first world when the power goes. */
@@ -39,6 +40,8 @@ static void fork_world(cut_kind_t kind, uint32_t offset, const uint8_t *page) {
     flash_model_cut(&dark_model, &dark_hal, kind, offset, page);
     ledger_copy(&dark_ledger, &ledger, &dark_store);
     now.kind = kind;
+    now.offset = offset;
+    now.erase = page == NULL;
 }
 
 static void boot_and_check(bool work) {
@@ -50,6 +53,7 @@ static void boot_and_check(bool work) {
         ledger_work(&dark_ledger);
     }
     TEST_ASSERT_EQUAL_UINT32(0, dark_store.failures);
+    TEST_ASSERT_EQUAL_UINT32(0, dark_hal.flash_misuses);
     store_unmount(&dark_store);
 }
 
@@ -108,13 +112,15 @@ static void play(void) {
     now.scenario->body(&ledger);
     ledger_check(&ledger);
     TEST_ASSERT_EQUAL_UINT32(0, store.failures);
+    TEST_ASSERT_EQUAL_UINT32(0, hal.flash_misuses);
     store_unmount(&store);
 }
 
 uint32_t power_cuts_linear(const power_cuts_t *scenario) {
     run(scenario, 1, cut_in_every_way);
     play();
-    printf("%s: %u writes, %u cuts\n", scenario->name, (unsigned)now.at, (unsigned)now.cuts);
+    printf("%s, %s: %u writes and erases, %u cuts\n", mock_flash_name(), scenario->name,
+           (unsigned)now.at, (unsigned)now.cuts);
     return now.at;
 }
 

@@ -95,6 +95,9 @@ static void expect_old_or_new(void) {
 static fault_t order(link_command_id_t id, uint32_t trial) {
     const link_command_t request = {
         .id = id, .trial = trial, .issued_s = (float)dark_hal.now_us * 1e-6f};
+    if (id == LINK_COMMAND_START) {
+        wait_for_blank_blocks(&dark);
+    }
     return commands_run(&dark, &request);
 }
 
