@@ -64,8 +64,9 @@ qemu: ## the unit tests as Cortex-M3 code: those that a processor may change
 soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 random events, bad lines and bad trials
 	@tools/bootstrap soak
 	@$(CONFIGURE) -B build/unit -DTAILBEAT_SANITIZE=ON -DTAILBEAT_COVERAGE=ON \
-		-DTAILBEAT_NATIVE=OFF >/dev/null
+		-DTAILBEAT_ALL_FLASHES=ON -DTAILBEAT_NATIVE=OFF >/dev/null
 	@$(STEP) "building the unit tests" cmake --build build/unit --target unit_tests
+	@$(BIN)/python tests/unit/run.py build/unit
 	IMU_FUZZ_BYTES=100000000 build/unit/tests/test_imu_fuzz
 	STORE_CUT_AGES=8 STORE_CUT_PAIRS=10000 build/unit/tests/test_power_cut
 	APP_CUT_PAIRS=1000 build/unit/tests/test_app_cuts
@@ -191,7 +192,7 @@ build/package.stamp: $(PACKAGE_SOURCES)
 
 unit: bootstrap
 	@$(CONFIGURE) -B build/unit -DTAILBEAT_SANITIZE=ON -DTAILBEAT_COVERAGE=ON \
-		-DTAILBEAT_NATIVE=OFF >/dev/null
+		-DTAILBEAT_ALL_FLASHES=OFF -DTAILBEAT_NATIVE=OFF >/dev/null
 	@$(STEP) "building the unit tests" cmake --build build/unit
 	@find build/unit -name '*.gcda' -delete
 	@$(BIN)/python tests/unit/run.py build/unit
