@@ -72,6 +72,11 @@ soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 rand
 	APP_CUT_PAIRS=1000 build/unit/tests/test_app_cuts
 	FLIP_BITS=8 FLIP_LIFETIMES=20 FLIP_DAMAGE=1000 build/unit/tests/test_rollback
 	WEAR_TRIALS=10000 build/unit/tests/test_wear
+	for flash in nor4k nor64k; do \
+		STORE_CUT_AGES=8 STORE_CUT_PAIRS=10000 build/unit/tests/test_power_cut_$$flash && \
+		APP_CUT_PAIRS=1000 build/unit/tests/test_app_cuts_$$flash && \
+		FLIP_STRIDE=1 FLIP_LIFETIMES=5 build/unit/tests/test_rollback_$$flash && \
+		WEAR_TRIALS=1000 build/unit/tests/test_wear_$$flash || exit 1; done
 	WALK_STEPS=10000000 WALK_SEED=2 build/unit/tests/test_supervisor_walk
 	@$(BIN)/pytest -n auto --dist worksteal -s -m soak tests/image tests/host tests/system
 	@$(MAKE) qemu QEMU_ALL=ON

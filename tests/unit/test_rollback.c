@@ -4,7 +4,7 @@
  * lifetime. FLIP_BITS=8 flips every bit of every used page, in the end state of each scenario;
  * FLIP_LIFETIMES=20 adds lifetimes of other seeds at one bit per byte; FLIP_DAMAGE (100) rounds
  * damage several pages at once. On a flash that erases first, whose store is larger, one byte of
- * FLIP_STRIDE (7, of large blocks 31) is flipped of what matters.
+ * FLIP_STRIDE (15, of large blocks 63) is flipped of what matters.
  *
  * A boot is a function of the bytes it reads: a flip in a byte that the boot of the undamaged store
  * does not read cannot change it. Of those, one per page is flipped all the same.
@@ -244,7 +244,7 @@ static bool matters(uint32_t page) {
 /* |bits| of 8 of each byte. */
 static void flip_all(uint32_t bits, bool only_what_matters, tally_t *tally) {
     const uint32_t stride =
-        MOCK_FLASH_ERASES_FIRST ? wish("FLIP_STRIDE", BLOCK_BYTES > 4096u ? 31u : 7u) : 1u;
+        MOCK_FLASH_ERASES_FIRST ? wish("FLIP_STRIDE", BLOCK_BYTES > 4096u ? 63u : 15u) : 1u;
     for (uint32_t at = 0; at < MOCK_FLASH_BYTES; at++) {
         const uint32_t page = at / STORE_PAGE_BYTES;
         if (only_what_matters ? !matters(page) : !written[page]) {
