@@ -57,7 +57,7 @@ SIM_ALLOWED: dict[str, tuple[str, ...]] = {
 }
 
 # A chip's folder shares what all chips of its core have (hal/cortex_m3).
-CHIP_ALLOWED = ("base/", "hal/", "registers/", "app/app.h", "crash.h", "memory_map.h")
+CHIP_ALLOWED = ("base/", "hal/", "registers/", "app/app.h", "crash.h", "guard.h", "memory_map.h")
 ALLOWED: dict[str, tuple[str, ...]] = {
     **{f"firmware/{name}": allowed for name, allowed in PURE_ALLOWED.items()},
     "firmware/store": (*PURE_PREFIXES, "store/", "hal/flash.h", "hal/system.h", "lfs.h"),

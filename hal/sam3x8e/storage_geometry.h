@@ -12,7 +12,7 @@ static inline const hal_flash_geometry_t *hal_flash_geometry(const hal_t *hal) {
         .erase_bytes = STORAGE_PAGE_BYTES,
         .program_bytes = STORAGE_PAGE_BYTES,
         .program_erases = true,
-        .program_max_us = STORAGE_LIMIT_US,
+        .program_max_us = STORAGE_LIMIT_US / 3u,
     };
     (void)hal;
     return &geometry;

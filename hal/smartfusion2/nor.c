@@ -41,7 +41,7 @@ static uint8_t exchange(uint8_t byte) {
     return (uint8_t)SPI0->RX_DATA;
 }
 
-/* The controller selects the flash for as many frames as it is told beforehand. */
+/* The controller selects the flash for the number of frames that is set beforehand. */
 static void begin(uint32_t frames) {
     SPI0->CONTROL = SPI_CONTROL_MASTER | SPI_CONTROL_SPS | SPI_CONTROL_BIGFIFO |
                     FIELD(SPI_CONTROL_FRAMES, frames) | SPI_CONTROL_ENABLE;

@@ -39,18 +39,12 @@ static void fill_ram(void) {
     memset(__bss_start, 0, bytes_between(__bss_start, __bss_end));
 }
 
-static void set_region(uint32_t region, const uint32_t *start, uint32_t bytes, uint32_t access) {
-    MPU->RNR = region;
-    MPU->RBAR = (uint32_t)start;
-    MPU->RASR =
-        MPU_RASR_ENABLE | MPU_RASR_XN | FIELD(MPU_RASR_SIZE, __builtin_ctz(bytes) - 1) | access;
-}
-
-/* Where DDR lies the core expects a device, which takes aligned accesses only. Below the stack lies
- * other RAM: an overflow would go unnoticed, so that there is no access at all to its end. */
-static void protect_memory(void) {
-    set_region(0, __ram_start, DDR_BYTES, MPU_RASR_AP_ALL | MPU_RASR_CACHED);
-    set_region(1, __stack_guard, bytes_between(__stack_guard, __stack_bottom), 0);
+/* Where DDR lies the core expects a device, which takes aligned accesses only. */
+static void make_ddr_memory(void) {
+    MPU->RNR = 0;
+    MPU->RBAR = (uint32_t)__ram_start;
+    MPU->RASR = MPU_RASR_ENABLE | MPU_RASR_XN | MPU_RASR_AP_ALL | MPU_RASR_CACHED |
+                FIELD(MPU_RASR_SIZE, __builtin_ctz(DDR_BYTES) - 1);
     MPU->CTRL = MPU_CTRL_ENABLE | MPU_CTRL_PRIVDEFENA;
     cpu_barrier();
 }
@@ -63,7 +57,7 @@ static void enable_faults(void) {
 _Noreturn void reset_handler(void) {
     SCB->VTOR = (uint32_t)&vectors;
     SYSREG->SOFT_RESET_CR &= ~SOFT_RESETS_USED;
-    protect_memory();
+    make_ddr_memory();
     fill_ram();
     guard_init();
     enable_faults();

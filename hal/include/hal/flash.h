@@ -32,7 +32,7 @@ typedef struct {
     uint32_t program_bytes; /* what one call programs */
     bool program_erases;    /* there is no separate erase */
     uint32_t erase_typical_us, erase_max_us; /* 0 where programming erases */
-    uint32_t program_max_us;                 /* also of one that fails */
+    uint32_t program_max_us;                 /* one that fails may take three times as long */
 } hal_flash_geometry_t;
 
 /* Never NULL; the struct is constant. A board that has one flash for ever may define the function

@@ -7,16 +7,16 @@
 
 #include <string.h>
 
-/* Regions; of two that hold an address the higher number counts. */
-#define REGION_STACK_END 0u
-#define REGION_GUARDED 1u
+/* Regions; of two that hold an address the higher number counts. The lower ones are the chip's. */
+#define REGION_STACK_END 6u
+#define REGION_GUARDED 7u
 
-#define INSIDE_CHIP (MPU_RASR_ENABLE | MPU_RASR_XN | MPU_RASR_S | MPU_RASR_C)
+#define NORMAL_MEMORY (MPU_RASR_ENABLE | MPU_RASR_XN | MPU_RASR_S | MPU_RASR_C)
 #define OF_BYTES(bytes) FIELD(MPU_RASR_SIZE, __builtin_ctz(bytes) - 1)
 
 static void allow(uint32_t access) {
     MPU->RBAR = (uint32_t)__guarded | MPU_RBAR_VALID | REGION_GUARDED;
-    MPU->RASR = INSIDE_CHIP | access | OF_BYTES(HAL_GUARDED_BYTES);
+    MPU->RASR = NORMAL_MEMORY | access | OF_BYTES(HAL_GUARDED_BYTES);
     cpu_barrier();
 }
 
