@@ -1,11 +1,5 @@
 #include "app/uploads.h"
 
-_Static_assert((int)LINK_FILE_REFERENCE == (int)VAULT_UPLOAD_REFERENCE &&
-                   (int)LINK_FILE_AMPLITUDES == (int)VAULT_UPLOAD_AMPLITUDES &&
-                   (int)LINK_FILE_SPEEDS == (int)VAULT_UPLOAD_SPEEDS &&
-                   (int)LINK_FILE_LEARNED == (int)VAULT_UPLOAD_LEARNED,
-               "files are numbered as on the wire");
-
 /* All that was learned, from a backup: the next trial goes on where the last of it left off. */
 static fault_t set_memory(app_t *app, const memory_t *next) {
     const fault_t fault = learner_set_memory(&app->learner, next);
@@ -33,7 +27,7 @@ static fault_t apply(app_t *app, vault_upload_t upload, const workspace_content_
 
 fault_t uploads_commit(app_t *app, const link_command_t *command) {
     const vault_stamp_t stamp = {command->length_bytes, command->crc};
-    const vault_upload_t upload = (vault_upload_t)command->file;
+    const vault_upload_t upload = command->file;
     workspace_t *workspace = &app->vault.workspace;
     if (upload != VAULT_UPLOAD_SPEEDS && app->trial.run.pending) {
         return FAULT_TRIAL_PENDING;

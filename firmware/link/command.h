@@ -3,6 +3,7 @@
 #define LINK_COMMAND_H
 
 #include "hal/serial.h"
+#include "store/vault.h"
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -27,13 +28,6 @@ typedef enum {
     LINK_COMMAND_REBOOT   /* take note and return; reset once the ACK has left (200 ms later) */
 } link_command_id_t;
 
-typedef enum {
-    LINK_FILE_REFERENCE = 0,
-    LINK_FILE_AMPLITUDES = 1,
-    LINK_FILE_SPEEDS = 2,
-    LINK_FILE_LEARNED = 3
-} link_file_t;
-
 typedef struct {
     link_command_id_t id;
     uint32_t trial;
@@ -42,7 +36,7 @@ typedef struct {
     bool wall;      /* the fish came too close to one */
     uint8_t row;    /* < IMU_ROWS */
     float element[3];
-    link_file_t file;
+    vault_upload_t file;
     uint32_t length_bytes;
     uint32_t crc;
     hal_port_t port; /* where it came in */

@@ -74,7 +74,7 @@ static bool read_commit(const command_request_t *request, link_command_t *comman
     if (!read_choice(request, 4, &choice) || request->x < 0) {
         return false;
     }
-    command->file = (link_file_t)choice;
+    command->file = (vault_upload_t)choice;
     command->length_bytes = (uint32_t)request->x;
     command->crc = (uint32_t)request->y;
     return true;

@@ -85,12 +85,12 @@ store_result_t vault_drop_trial(vault_t *vault);
 /* False when there is none. */
 bool vault_drop_past(vault_t *vault, uint32_t place);
 
-/* The files that hosts put into /in, for the board to make them what they are meant to be. */
+/* The files that hosts put into /in, for the board to use; TAILBEAT_FILE on the wire. */
 typedef enum {
     VAULT_UPLOAD_REFERENCE = 0,
-    VAULT_UPLOAD_AMPLITUDES,
-    VAULT_UPLOAD_SPEEDS,
-    VAULT_UPLOAD_LEARNED,
+    VAULT_UPLOAD_AMPLITUDES = 1,
+    VAULT_UPLOAD_SPEEDS = 2,
+    VAULT_UPLOAD_LEARNED = 3,
     VAULT_UPLOAD_COUNT
 } vault_upload_t;
 

@@ -58,7 +58,7 @@ static inline fault_t board_command(link_command_id_t id, uint32_t trial) {
     return app.link.handlers.command(app.link.handlers.context, &request);
 }
 
-static inline fault_t board_upload(link_file_t file, const char *path, const uint8_t *bytes,
+static inline fault_t board_upload(vault_upload_t file, const char *path, const uint8_t *bytes,
                                    size_t length) {
     MUST(store_replace(&app.vault.store, path, bytes, length) == STORE_OK);
     const link_command_t request = {.id = LINK_COMMAND_COMMIT,
@@ -79,7 +79,7 @@ static inline void board_set_reference(uint16_t beats) {
         reference.speed_m_s[k] = 0.04f;
     }
     const size_t length = record_encode_reference(&reference, bytes);
-    MUST(board_upload(LINK_FILE_REFERENCE, "/in/reference.bin", bytes, length) == FAULT_NONE);
+    MUST(board_upload(VAULT_UPLOAD_REFERENCE, "/in/reference.bin", bytes, length) == FAULT_NONE);
 }
 
 /* Swims the next trial; it is pending afterwards. */

@@ -101,7 +101,7 @@ static fault_t command(link_command_id_t id, uint32_t trial) {
     return app.link.handlers.command(app.link.handlers.context, &request);
 }
 
-static fault_t commit(link_file_t file, const char *path, const uint8_t *bytes, size_t length) {
+static fault_t commit(vault_upload_t file, const char *path, const uint8_t *bytes, size_t length) {
     TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.vault.store, path, bytes, length));
     const link_command_t request = {.id = LINK_COMMAND_COMMIT,
                                     .file = file,
@@ -126,7 +126,7 @@ static size_t encode_flat_reference(uint16_t beats, float speed_m_s) {
 
 static fault_t upload_flat_reference(uint16_t beats, float speed_m_s) {
     const size_t length = encode_flat_reference(beats, speed_m_s);
-    return commit(LINK_FILE_REFERENCE, "/in/reference.bin", upload_bytes, length);
+    return commit(VAULT_UPLOAD_REFERENCE, "/in/reference.bin", upload_bytes, length);
 }
 
 /* Armed and swimming the next trial along a flat reference of |beats| beats. */

@@ -240,7 +240,8 @@ static void upload_speeds(uint32_t trial) {
         speeds.sigma_m_s[k] = 0.001f;
     }
     const size_t length = record_encode_speeds(&speeds, upload_bytes);
-    TEST_ASSERT_EQUAL(FAULT_NONE, commit(LINK_FILE_SPEEDS, "/in/speeds.bin", upload_bytes, length));
+    TEST_ASSERT_EQUAL(FAULT_NONE,
+                      commit(VAULT_UPLOAD_SPEEDS, "/in/speeds.bin", upload_bytes, length));
     done();
 }
 
@@ -253,7 +254,7 @@ static void upload_amplitudes(void) {
     }
     const size_t length = record_encode_amplitudes(&upload, upload_bytes);
     TEST_ASSERT_EQUAL(FAULT_NONE,
-                      commit(LINK_FILE_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
+                      commit(VAULT_UPLOAD_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
     done();
 }
 

@@ -198,7 +198,8 @@ static void mask_from(uint16_t beat) {
         speeds.sigma_m_s[k] = kept ? app.trial.run.trial.sigma_m_s[k] : NAN;
     }
     const size_t length = record_encode_speeds(&speeds, upload_bytes);
-    TEST_ASSERT_EQUAL(FAULT_NONE, commit(LINK_FILE_SPEEDS, "/in/speeds.bin", upload_bytes, length));
+    TEST_ASSERT_EQUAL(FAULT_NONE,
+                      commit(VAULT_UPLOAD_SPEEDS, "/in/speeds.bin", upload_bytes, length));
 }
 
 /* A flat reference whose second half is too fast for the first guess: that would swim 0.4 of it. */
@@ -211,7 +212,7 @@ static void upload_rise(void) {
     }
     const size_t length = record_encode_reference(&reference, upload_bytes);
     TEST_ASSERT_EQUAL(FAULT_NONE,
-                      commit(LINK_FILE_REFERENCE, "/in/reference.bin", upload_bytes, length));
+                      commit(VAULT_UPLOAD_REFERENCE, "/in/reference.bin", upload_bytes, length));
 }
 
 /* Trials until one is whole, or TRIALS_MAX. */

@@ -29,7 +29,7 @@ static void start_long_trial(void) {
     }
     const size_t length = record_encode_reference(&reference, upload_bytes);
     TEST_ASSERT_EQUAL(FAULT_NONE,
-                      commit(LINK_FILE_REFERENCE, "/in/reference.bin", upload_bytes, length));
+                      commit(VAULT_UPLOAD_REFERENCE, "/in/reference.bin", upload_bytes, length));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.trial.next));
 }

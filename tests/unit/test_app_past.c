@@ -64,7 +64,8 @@ static void swim(uint16_t beats, const float *speed_m_s) {
         speeds.sigma_m_s[k] = 0.001f;
     }
     const size_t length = record_encode_speeds(&speeds, upload_bytes);
-    TEST_ASSERT_EQUAL(FAULT_NONE, commit(LINK_FILE_SPEEDS, "/in/speeds.bin", upload_bytes, length));
+    TEST_ASSERT_EQUAL(FAULT_NONE,
+                      commit(VAULT_UPLOAD_SPEEDS, "/in/speeds.bin", upload_bytes, length));
 }
 
 /* One trial with random speeds, some of them missing. */
@@ -190,7 +191,7 @@ static void upload_amplitudes(void) {
     memcpy(upload.amplitude_rad, app.learner.memory.amplitude_rad, BEATS * sizeof(float));
     const size_t length = record_encode_amplitudes(&upload, upload_bytes);
     TEST_ASSERT_EQUAL(FAULT_NONE,
-                      commit(LINK_FILE_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
+                      commit(VAULT_UPLOAD_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
 }
 
 static void restore_best(void) {

@@ -209,7 +209,7 @@ static void test_an_endless_beat_is_refused(void) {
     static reference_t reference = {.beats = 1, .beat_s = 1e30f};
     const size_t length = record_encode_reference(&reference, upload_bytes);
     TEST_ASSERT_EQUAL(FAULT_BAD_DATA,
-                      commit(LINK_FILE_REFERENCE, "/in/reference.bin", upload_bytes, length));
+                      commit(VAULT_UPLOAD_REFERENCE, "/in/reference.bin", upload_bytes, length));
 }
 
 static void store_params_and_reboot(void) {

@@ -13,7 +13,7 @@ static void expect_reference_refused(fault_t expected, size_t length) {
     const uint32_t crc = app.learner.reference.crc;
     const memory_t memory = app.learner.memory;
     TEST_ASSERT_EQUAL(expected,
-                      commit(LINK_FILE_REFERENCE, "/in/reference.bin", upload_bytes, length));
+                      commit(VAULT_UPLOAD_REFERENCE, "/in/reference.bin", upload_bytes, length));
     TEST_ASSERT_EQUAL_HEX32(crc, app.learner.reference.crc);
     TEST_ASSERT_EQUAL_MEMORY(&memory, &app.learner.memory, sizeof memory);
 }
@@ -62,7 +62,7 @@ static void test_a_commit_must_name_the_file_that_is_there(void) {
     const size_t length = encode_flat_reference(BEATS, SPEED);
     (void)store_replace(&app.vault.store, "/in/reference.bin", upload_bytes, length);
     link_command_t request = {.id = LINK_COMMAND_COMMIT,
-                              .file = LINK_FILE_REFERENCE,
+                              .file = VAULT_UPLOAD_REFERENCE,
                               .length_bytes = (uint32_t)length,
                               .crc = crc32_update(0, upload_bytes, length) ^ 1u};
     TEST_ASSERT_EQUAL(FAULT_BAD_FILE, commands_run(&app, &request));
@@ -70,9 +70,9 @@ static void test_a_commit_must_name_the_file_that_is_there(void) {
     request.length_bytes--;
     TEST_ASSERT_EQUAL(FAULT_BAD_FILE, commands_run(&app, &request));
     request.length_bytes++;
-    request.file = LINK_FILE_SPEEDS;
+    request.file = VAULT_UPLOAD_SPEEDS;
     TEST_ASSERT_EQUAL(FAULT_BAD_FILE, commands_run(&app, &request));
-    request.file = LINK_FILE_REFERENCE;
+    request.file = VAULT_UPLOAD_REFERENCE;
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_run(&app, &request));
 }
 
@@ -126,7 +126,7 @@ static size_t encode_speeds(uint32_t trial, uint16_t beats, float speed_m_s) {
 
 static fault_t upload_speeds(uint32_t trial, uint16_t beats, float speed_m_s) {
     const size_t length = encode_speeds(trial, beats, speed_m_s);
-    return commit(LINK_FILE_SPEEDS, "/in/speeds.bin", upload_bytes, length);
+    return commit(VAULT_UPLOAD_SPEEDS, "/in/speeds.bin", upload_bytes, length);
 }
 
 static void test_speeds_uploaded_after_the_swim_are_learned_from(void) {
@@ -157,7 +157,7 @@ static void test_uploaded_amplitudes_swim_next_and_stay_at_arming(void) {
     }
     size_t length = record_encode_amplitudes(&upload, upload_bytes);
     TEST_ASSERT_EQUAL(FAULT_NONE,
-                      commit(LINK_FILE_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
+                      commit(VAULT_UPLOAD_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_EQUAL_FLOAT(0.3f, app.learner.memory.amplitude_rad[3]);
     TEST_ASSERT_EQUAL(MEMORY_INPUT_UPLOADED, app.learner.memory.input);
@@ -165,7 +165,7 @@ static void test_uploaded_amplitudes_swim_next_and_stay_at_arming(void) {
     upload.reference_crc ^= 1u;
     length = record_encode_amplitudes(&upload, upload_bytes);
     TEST_ASSERT_EQUAL(FAULT_WRONG_BEATS,
-                      commit(LINK_FILE_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
+                      commit(VAULT_UPLOAD_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
 }
 
 static void test_what_was_learned_comes_back_from_a_backup(void) {
@@ -177,9 +177,9 @@ static void test_what_was_learned_comes_back_from_a_backup(void) {
     reboot();
     TEST_ASSERT_EQUAL(1, app.trial.next);
     TEST_ASSERT_EQUAL(FAULT_WRONG_BEATS,
-                      commit(LINK_FILE_LEARNED, "/in/learned.bin", backup, length));
+                      commit(VAULT_UPLOAD_LEARNED, "/in/learned.bin", backup, length));
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
-    TEST_ASSERT_EQUAL(FAULT_NONE, commit(LINK_FILE_LEARNED, "/in/learned.bin", backup, length));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commit(VAULT_UPLOAD_LEARNED, "/in/learned.bin", backup, length));
     TEST_ASSERT_EQUAL(2, app.trial.next);
     reboot();
     TEST_ASSERT_EQUAL(2, app.trial.next);
@@ -187,7 +187,7 @@ static void test_what_was_learned_comes_back_from_a_backup(void) {
     TEST_ASSERT_EQUAL_MEMORY(backup, upload_bytes, length);
     backup[length - 1u] ^= 1u;
     TEST_ASSERT_EQUAL(FAULT_BAD_FORMAT,
-                      commit(LINK_FILE_LEARNED, "/in/learned.bin", backup, length));
+                      commit(VAULT_UPLOAD_LEARNED, "/in/learned.bin", backup, length));
 }
 
 /* What another firmware stored: the record ends before the visits. */
@@ -248,7 +248,7 @@ static void test_failing_flash_refuses_uploaded_speeds_and_keeps_the_measured_on
                       store_replace(&app.vault.store, "/in/speeds.bin", upload_bytes, length));
     hal.flash_fail_after = hal.flash_writes;
     const link_command_t request = {.id = LINK_COMMAND_COMMIT,
-                                    .file = LINK_FILE_SPEEDS,
+                                    .file = VAULT_UPLOAD_SPEEDS,
                                     .length_bytes = (uint32_t)length,
                                     .crc = crc32_update(0, upload_bytes, length)};
     TEST_ASSERT_EQUAL(FAULT_STORAGE, commands_run(&app, &request));

@@ -104,7 +104,8 @@ static void upload(void) {
         speeds.sigma_m_s[k] = 0.001f;
     }
     const size_t length = record_encode_speeds(&speeds, upload_bytes);
-    TEST_ASSERT_EQUAL(FAULT_NONE, commit(LINK_FILE_SPEEDS, "/in/speeds.bin", upload_bytes, length));
+    TEST_ASSERT_EQUAL(FAULT_NONE,
+                      commit(VAULT_UPLOAD_SPEEDS, "/in/speeds.bin", upload_bytes, length));
 }
 
 /* The trial may have been swum before a reboot; somebody who has seen that they are sound lowers

@@ -161,7 +161,7 @@ static void test_commit_comes_as_command_int(void) {
     send_commit(1, 172, (int32_t)0xFEDCBA98u);
     expect_answer(TAILBEAT_CMD_COMMIT, MAV_RESULT_ACCEPTED, FAULT_NONE);
     TEST_ASSERT_EQUAL(LINK_COMMAND_COMMIT, last_command.id);
-    TEST_ASSERT_EQUAL(LINK_FILE_AMPLITUDES, last_command.file);
+    TEST_ASSERT_EQUAL(VAULT_UPLOAD_AMPLITUDES, last_command.file);
     TEST_ASSERT_EQUAL(172, last_command.length_bytes);
     TEST_ASSERT_EQUAL_HEX32(0xFEDCBA98u, last_command.crc);
     send_commit(4, 172, 0);

@@ -1,5 +1,5 @@
-#include "batch/shoal.h"
-#include "batch/shoal_lanes.h"
+#include "batch/batch.h"
+#include "batch/batch_lanes.h"
 #include "common/noise.h"
 #include "fish/plant_beats.h"
 #include "test_sim_app.h"
@@ -45,7 +45,7 @@ static void be_quiet(sim_config_t *c) {
     c->place_sigma_rad = 0;
 }
 
-static void any_shoal(void) {
+static void any_batch(void) {
     for (size_t i = 0; i < FISH; i++) {
         configs[i] = any_fish();
         swims[i] = (uint32_t)(1 + i % 3);
@@ -57,7 +57,7 @@ static void any_shoal(void) {
 
 static void swim_all(double beat_s) {
     TEST_ASSERT_TRUE(
-        shoal_swim(configs, FISH, swims, amplitude, BEATS, beat_s, true_m_s, speed, sigma));
+        batch_swim(configs, FISH, swims, amplitude, BEATS, beat_s, true_m_s, speed, sigma));
 }
 
 static void compare_quiet(double beat_s) {
@@ -72,7 +72,7 @@ static void compare_quiet(double beat_s) {
 static void test_without_disturbances_the_bits_are_the_plants(void) {
     static const double beats_s[] = {1, 0.5, 1.02};
     for (size_t n = 0; n < 3; n++) {
-        any_shoal();
+        any_batch();
         for (size_t i = 0; i < FISH; i++) {
             be_quiet(&configs[i]);
         }
@@ -82,7 +82,7 @@ static void test_without_disturbances_the_bits_are_the_plants(void) {
 
 /* A drag for which the step's series does not hold, in between fish for which it does. */
 static void test_a_step_beyond_the_series_has_the_plants_bits_too(void) {
-    any_shoal();
+    any_batch();
     for (size_t i = 0; i < FISH; i++) {
         be_quiet(&configs[i]);
         configs[i].kappa_per_m = i % 5 == 2 ? 400 : 10;
@@ -92,7 +92,7 @@ static void test_a_step_beyond_the_series_has_the_plants_bits_too(void) {
 
 static void test_thesis_plant(void) {
     double alone[BEATS];
-    any_shoal();
+    any_batch();
     for (size_t i = 0; i < 3; i++) {
         sim_config_default(&configs[i], i == 1 ? SIM_PLANT_TANK : SIM_PLANT_THESIS);
         be_quiet(&configs[i]);
@@ -108,12 +108,12 @@ static void test_thesis_plant(void) {
 
 static void test_all_sets_of_instructions_give_the_same_bits(void) {
     static double t[FISH * BEATS], v[FISH * BEATS], s[FISH * BEATS];
-    any_shoal();
-    TEST_ASSERT_TRUE(shoal_swim_on(shoal_lanes(0), configs, FISH, swims, amplitude, BEATS, 1,
+    any_batch();
+    TEST_ASSERT_TRUE(batch_swim_on(batch_lanes(0), configs, FISH, swims, amplitude, BEATS, 1,
                                    true_m_s, speed, sigma));
-    for (size_t i = 1; shoal_lanes(i) != NULL; i++) {
+    for (size_t i = 1; batch_lanes(i) != NULL; i++) {
         TEST_ASSERT_TRUE(
-            shoal_swim_on(shoal_lanes(i), configs, FISH, swims, amplitude, BEATS, 1, t, v, s));
+            batch_swim_on(batch_lanes(i), configs, FISH, swims, amplitude, BEATS, 1, t, v, s));
         TEST_ASSERT_EQUAL_MEMORY(true_m_s, t, sizeof t);
         for (size_t k = 0; k < FISH * BEATS; k++) {
             TEST_ASSERT_EQUAL(isnan(speed[k]), isnan(v[k]));
@@ -125,13 +125,13 @@ static void test_all_sets_of_instructions_give_the_same_bits(void) {
 static void test_no_fish_feels_its_neighbours(void) {
     static const size_t counts[] = {1, 5, 31, 32, 33, 70};
     double t[FISH * BEATS], v[FISH * BEATS], s[FISH * BEATS];
-    any_shoal();
+    any_batch();
     configs[40].camera_fps = 30;
     configs[41].kappa_per_m = 500;
     swim_all(1);
     for (size_t n = 0; n < 6; n++) {
         const size_t first = FISH - counts[n], at = first * BEATS;
-        TEST_ASSERT_TRUE(shoal_swim(configs + first, counts[n], swims + first, amplitude + at,
+        TEST_ASSERT_TRUE(batch_swim(configs + first, counts[n], swims + first, amplitude + at,
                                     BEATS, 1, t, v, s));
         for (size_t k = 0; k < counts[n] * BEATS; k++) {
             TEST_ASSERT_TRUE(t[k] == true_m_s[at + k]);
@@ -143,7 +143,7 @@ static void test_no_fish_feels_its_neighbours(void) {
 
 /* The whole simulator, whose tail is told pulses of whole ticks of 0.58 mrad. */
 static void test_disturbed_beats_are_the_whole_simulators(void) {
-    any_shoal();
+    any_batch();
     for (size_t i = 0; i < 4 * BEATS; i++) {
         amplitude[i] = between(0.2, 0.65);
     }
@@ -177,7 +177,7 @@ static uint64_t picture_key(size_t fish, noise_stream_t stream) {
 /* A line is linear in its points: what the noise adds to a speed follows from the draws alone. */
 static void test_camera_noise_moves_the_line_as_its_draws_do(void) {
     static double quiet[FISH * BEATS];
-    any_shoal();
+    any_batch();
     for (size_t i = 0; i < FISH; i++) {
         configs[i].camera_noise_m = 0;
         configs[i].camera_lost = 0;
@@ -214,7 +214,7 @@ static bool measurable(size_t fish, size_t beat) {
 
 static void test_lost_pictures(void) {
     unsigned unmeasured = 0;
-    any_shoal();
+    any_batch();
     for (size_t i = 0; i < FISH; i++) {
         configs[i].camera_lost = 0.01 * (double)i;
     }
@@ -234,7 +234,7 @@ static void test_lost_pictures(void) {
 static void test_other_cameras(void) {
     static const double fps[] = {24, 27.3, 50, 7, 1.4, 0};
     for (size_t n = 0; n < 6; n++) {
-        any_shoal();
+        any_batch();
         for (size_t i = 0; i < FISH; i++) {
             be_quiet(&configs[i]);
             configs[i].camera_fps = fps[n];
@@ -255,9 +255,9 @@ static void test_other_cameras(void) {
 
 static void test_without_camera(void) {
     static double alone[FISH * BEATS];
-    any_shoal();
+    any_batch();
     swim_all(1);
-    TEST_ASSERT_TRUE(shoal_swim(configs, FISH, swims, amplitude, BEATS, 1, alone, NULL, NULL));
+    TEST_ASSERT_TRUE(batch_swim(configs, FISH, swims, amplitude, BEATS, 1, alone, NULL, NULL));
     TEST_ASSERT_EQUAL_MEMORY(true_m_s, alone, sizeof alone);
 }
 
@@ -267,12 +267,12 @@ static void test_without_camera(void) {
 static double by_thread[THREADS][FISH * BEATS];
 
 static void *swim_in_thread(void *to) {
-    const bool swum = shoal_swim(configs, FISH, swims, amplitude, BEATS, 1, to, speed, sigma);
+    const bool swum = batch_swim(configs, FISH, swims, amplitude, BEATS, 1, to, speed, sigma);
     return swum ? to : NULL;
 }
 
 static void *swim_blind_in_thread(void *to) {
-    const bool swum = shoal_swim(configs, FISH, swims, amplitude, BEATS, 1, to, NULL, NULL);
+    const bool swum = batch_swim(configs, FISH, swims, amplitude, BEATS, 1, to, NULL, NULL);
     return swum ? to : NULL;
 }
 
@@ -280,7 +280,7 @@ static void *swim_blind_in_thread(void *to) {
 static void test_threads_with_small_stacks(void) {
     pthread_attr_t small;
     pthread_t thread[THREADS];
-    any_shoal();
+    any_batch();
     configs[7].delay_s = 5;
     configs[9].kappa_per_m = 400;
     swim_all(1);
@@ -301,21 +301,21 @@ static void test_threads_with_small_stacks(void) {
 }
 
 static void test_refuses_nonsense(void) {
-    any_shoal();
+    any_batch();
     const sim_config_t c = configs[3];
-    TEST_ASSERT_TRUE(shoal_swim(configs, 0, swims, amplitude, BEATS, 1, true_m_s, speed, sigma));
+    TEST_ASSERT_TRUE(batch_swim(configs, 0, swims, amplitude, BEATS, 1, true_m_s, speed, sigma));
     TEST_ASSERT_FALSE(
-        shoal_swim(configs, 4, swims, amplitude, BEATS, 0.99, true_m_s, speed, sigma));
-    TEST_ASSERT_FALSE(shoal_swim(configs, 4, swims, amplitude, BEATS, 1, true_m_s, NULL, sigma));
+        batch_swim(configs, 4, swims, amplitude, BEATS, 0.99, true_m_s, speed, sigma));
+    TEST_ASSERT_FALSE(batch_swim(configs, 4, swims, amplitude, BEATS, 1, true_m_s, NULL, sigma));
     configs[3].kappa_per_m = -1;
-    TEST_ASSERT_FALSE(shoal_swim(configs, 4, swims, amplitude, BEATS, 1, true_m_s, speed, sigma));
+    TEST_ASSERT_FALSE(batch_swim(configs, 4, swims, amplitude, BEATS, 1, true_m_s, speed, sigma));
     configs[3] = c;
     configs[3].map_bend_m_s_rad2 = NAN;
-    TEST_ASSERT_FALSE(shoal_swim(configs, 4, swims, amplitude, BEATS, 1, true_m_s, speed, sigma));
+    TEST_ASSERT_FALSE(batch_swim(configs, 4, swims, amplitude, BEATS, 1, true_m_s, speed, sigma));
     configs[3] = c;
     amplitude[3 * BEATS] = NAN;
-    TEST_ASSERT_FALSE(shoal_swim(configs, 4, swims, amplitude, BEATS, 1, true_m_s, speed, sigma));
-    TEST_ASSERT_TRUE(shoal_swim(configs, 3, swims, amplitude, BEATS, 1, true_m_s, speed, sigma));
+    TEST_ASSERT_FALSE(batch_swim(configs, 4, swims, amplitude, BEATS, 1, true_m_s, speed, sigma));
+    TEST_ASSERT_TRUE(batch_swim(configs, 3, swims, amplitude, BEATS, 1, true_m_s, speed, sigma));
 }
 
 int main(void) {

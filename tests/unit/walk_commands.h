@@ -347,7 +347,7 @@ static void upload(void) {
     }
     const fault_t answer = send(any_host(), (link_command_t){
                                                 .id = LINK_COMMAND_COMMIT,
-                                                .file = LINK_FILE_REFERENCE,
+                                                .file = VAULT_UPLOAD_REFERENCE,
                                                 .length_bytes = (uint32_t)length,
                                                 .crc = crc32_update(0, upload_bytes, length),
                                             });

@@ -112,12 +112,19 @@ def test_generated_module_speaks_mavlink_2() -> None:
 
 def test_states_and_files_match_the_firmware() -> None:
     """Enums that the XML repeats from C headers carry the same numbers."""
-    header = (ROOT / "firmware" / "supervisor" / "supervisor.h").read_text()
-    for name, number in re.findall(r"\bSTATE_(\w+) = (\d+)", header):
-        assert getattr(mavlink, f"TAILBEAT_STATE_{name}") == int(number)
-    header = (ROOT / "firmware" / "link" / "link.h").read_text()
-    for name, number in re.findall(r"\bLINK_FILE_(\w+) = (\d+)", header):
-        assert getattr(mavlink, f"TAILBEAT_FILE_{name}") == int(number)
+    headers = {
+        "STATE": ("supervisor/supervisor.h", r"\bSTATE_(\w+) = (\d+)"),
+        "FILE": ("store/vault.h", r"\bVAULT_UPLOAD_(\w+) = (\d+)"),
+    }
+    for kind, (path, entry) in headers.items():
+        found = dict(re.findall(entry, (ROOT / "firmware" / path).read_text()))
+        entries = mavlink.enums[f"TAILBEAT_{kind}"].values()
+        in_xml = {
+            e.name.removeprefix(f"TAILBEAT_{kind}_") for e in entries if "ENUM_END" not in e.name
+        }
+        assert found.keys() == in_xml
+        for name, number in found.items():
+            assert getattr(mavlink, f"TAILBEAT_{kind}_{name}") == int(number)
 
 
 def random_value(kind: str, length: int, rng: random.Random) -> Any:
