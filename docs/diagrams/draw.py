@@ -276,7 +276,7 @@ def layers() -> Canvas:
         c.box(550, 60 + 50 * number, 300, 40, name, what, accent=name == "hal/include")
     for x, name, what in (
         (445, "sam3x8e", "the chip"),
-        (550, "sim", "with a fish"),
+        (550, "host", "simulated"),
         (655, "mock", "unit tests"),
     ):
         c.box(x, 385, 95, 46, name, what)

@@ -122,7 +122,7 @@ void app_poll(app_t *app) {
         sensor_drive(&app->sensor, read_us);
     }
     status_refresh(app);
-    trial_tell_battery(&app->trial, &loop->status.battery);
+    trial_report_battery(&app->trial, &loop->status.battery);
     if (hal_time_us(app->hal) - now_us < STORING_US) {
         poll_link(app, now_us);
     }

@@ -33,7 +33,7 @@ void boot_load_params(app_t *app) {
     }
 }
 
-static void tell_fates(outbox_t *outbox, const salvage_report_t *report) {
+static void report_fates(outbox_t *outbox, const salvage_report_t *report) {
     static const char words[][8] = {
         [SALVAGE_SAVED] = "saved ",
         [SALVAGE_OLDER] = "older ",
@@ -90,7 +90,7 @@ static fault_t judge(const app_t *app, store_result_t mounted, bool key_readable
 fault_t boot_load(app_t *app) {
     salvage_report_t lost;
     const store_result_t mounted = salvage_mount(&app->vault, app->hal, &lost);
-    tell_fates(&app->link.outbox, &lost);
+    report_fates(&app->link.outbox, &lost);
     if (lost.lock_key) {
         signing_lock(&app->link.outbox.signing);
     }

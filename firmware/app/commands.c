@@ -74,8 +74,8 @@ static fault_t arm(app_t *app, const link_command_t *command) {
     return app->loop.reboot_at_us != 0 ? FAULT_WRONG_STATE : start_arm(&app->trial, command);
 }
 
-static void tell_learned(app_t *app, const trial_record_t *trial,
-                         const learner_outcome_t *outcome) {
+static void report_learned(app_t *app, const trial_record_t *trial,
+                           const learner_outcome_t *outcome) {
     const memory_t *memory = &app->learner.memory;
     link_learn_report_t *learned = &app->loop.learned;
     *learned = (link_learn_report_t){
@@ -99,7 +99,7 @@ static fault_t learn_pending(app_t *app) {
     const fault_t fault = learner_learn(&app->learner, &run->trial, &outcome);
     if (fault == FAULT_NONE) {
         run->pending = false; /* its file stays, for the next trial to replace: the memory tells */
-        tell_learned(app, &run->trial, &outcome);
+        report_learned(app, &run->trial, &outcome);
     }
     (void)supervisor_event(&app->supervisor, EVENT_LEARNED, FAULT_NONE);
     return fault;

@@ -18,7 +18,7 @@
 typedef struct {
     vault_t *vault;
     const params_t *params;
-    const memory_t *memory; /* that the trial was swum with; of past_trials_keep the next one */
+    const memory_t *memory; /* of the trial; of past_trials_keep the next one */
     past_t *past;           /* taken from the workspace, from look_back to keep */
     float *sum_rad;         /* BEATS_MAX: the weighted earlier trials */
     uint8_t *measured;      /* BEATS_MAX, for look_back alone */

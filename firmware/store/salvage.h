@@ -30,7 +30,7 @@ typedef enum {
 typedef struct {
     fault_t fault; /* FAULT_NONE, FAULT_STORE_RENEWED, FAULT_FILE_DAMAGED or FAULT_STORE_OLDER */
     salvage_fate_t fate[CRITICAL_COUNT];
-    bool lock_key; /* there is a key, but nowhere to keep its mark: believe nobody */
+    bool lock_key; /* there is a key, but nowhere to store its mark: accept no command */
 } salvage_report_t;
 
 /* Mounts the store of |vault|, which has been initialised. The numbers of the trials go on. The

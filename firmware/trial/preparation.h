@@ -23,7 +23,7 @@ void preparation_init(preparation_t *preparation, learner_t *learner, const tria
 /* The board has just been armed. */
 void preparation_begin(preparation_t *preparation);
 
-/* One step of what is left. What fails here fails at the start too, and is told then. */
+/* One step of what is left. What fails here fails at the start too, and is reported then. */
 void preparation_step(preparation_t *preparation);
 
 /* All that is left of the room; FAULT_WRITE_FAILED when there is none. Once more at the start:

@@ -26,7 +26,7 @@ estimate_rest_t settle_rest_after(const params_t *params, const trial_run_t *run
                                      : (estimate_rest_t){0};
 }
 
-/* The estimate believes only the second half of the rest after the swim: the first may have been a
+/* The estimate uses only the second half of the rest after the swim: the first may have been a
  * coast. */
 static float rest_after_min_s(const params_t *params, float beat_s) {
     const float twice_s = 2.0f * params->value[PARAM_REST_MIN_S];

@@ -329,7 +329,7 @@ void trial_vision(trial_t *trial, const link_vision_t *sample) {
     }
 }
 
-void trial_tell_battery(trial_t *trial, const battery_voltage_t *battery) {
+void trial_report_battery(trial_t *trial, const battery_voltage_t *battery) {
     const uint16_t low_mv = settings_battery_low_mv(trial->with.params);
     if (battery->at_limit && battery_tells_limit(&trial->battery, battery, low_mv)) {
         outbox_text(trial->with.outbox, MAV_SEVERITY_WARNING,

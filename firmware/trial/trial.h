@@ -5,7 +5,7 @@
  *
  * Only the host that armed starts, and only its heartbeats keep the board armed and the tail
  * swimming; anybody may abort and disarm. Arming again while ARMED hands the fish over to the host
- * that asks, which is told on both ports; RUNNING refuses it. Main loop only, but for the tick.
+ * that asks, which is reported on both ports; RUNNING refuses it. Main loop only, but for the tick.
  */
 #ifndef TRIAL_TRIAL_H
 #define TRIAL_TRIAL_H
@@ -94,8 +94,9 @@ bool trial_finish(trial_t *trial, uint64_t now_us);
 void trial_heartbeat(trial_t *trial, hal_port_t port, uint8_t system);
 void trial_vision(trial_t *trial, const link_vision_t *sample);
 
-/* A board that swims nothing needs no battery: a voltage that is not known is told, once. */
-void trial_tell_battery(trial_t *trial, const battery_voltage_t *battery);
+/* A board that swims nothing needs no battery: a voltage that is not known is
+ * reported, once. */
+void trial_report_battery(trial_t *trial, const battery_voltage_t *battery);
 
 /* Takes gait and limits from the parameters and the reference, which change in IDLE only: a swim
  * need not ask again in every pass. At its start, and in give_orders while none is on. */

@@ -7,7 +7,7 @@
 
 #include "base/crc.h"
 #include "base/units.h"
-#include "batch/shoal.h"
+#include "batch/batch.h"
 #include "blink/blink.h"
 #include "config_valid.h"
 #include "cruise.h"

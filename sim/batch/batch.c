@@ -1,9 +1,9 @@
-#include "shoal.h"
+#include "batch.h"
 
+#include "batch_lanes.h"
 #include "common/noise.h"
 #include "config_valid.h"
 #include "fish/tail.h"
-#include "shoal_lanes.h"
 #include "water/disturbance.h"
 #include "water/drag_step.h"
 
@@ -21,7 +21,7 @@ static const double still[SUBSTEPS] = {1, 1, 1, 1};
 
 /* What the whole call shares. */
 typedef struct {
-    const shoal_lanes_t *lanes;
+    const batch_lanes_t *lanes;
     const sim_config_t *configs;
     const uint32_t *swims;
     const double *amplitude_rad;
@@ -41,10 +41,10 @@ typedef struct {
     bool alone;          /* one fish, by the plant's own code; otherwise all lanes at once */
     tail_t tail;
     plant_t plant;
-    disturbance_t drawn[SHOAL_LANES];
+    disturbance_t drawn[BATCH_LANES];
     bool moves;                  /* the water of any lane, within the trial */
-    double moved_m[SHOAL_LANES]; /* by that, since the beat began */
-    shoal_block_t rows;
+    double moved_m[BATCH_LANES]; /* by that, since the beat began */
+    batch_block_t rows;
 } block_t;
 
 /* Too much for the stack of a thread. The ring follows it. */
@@ -64,7 +64,7 @@ static bool has_servo(const sim_config_t *c) {
 }
 
 static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_t swim) {
-    shoal_block_t *rows = &block->rows;
+    batch_block_t *rows = &block->rows;
     disturbance_draw(&block->drawn[l], c, swim);
     const double gain = block->drawn[l].gain;
     const double h = rows->frame_s / SUBSTEPS;
@@ -89,7 +89,7 @@ static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_
     rows->sways = rows->sways || c->place_sigma_rad > 0;
 }
 
-static void set_camera(shoal_block_t *rows, unsigned l, const sim_config_t *c, uint32_t swim) {
+static void set_camera(batch_block_t *rows, unsigned l, const sim_config_t *c, uint32_t swim) {
     rows->noise_m[l] = c->camera_noise_m;
     rows->noise_key[l] = noise_key(c->seed, NOISE_CAMERA, swim);
     rows->lost_key[l] = noise_key(c->seed, NOISE_LOST, swim);
@@ -103,7 +103,7 @@ static uint64_t next_picture_us(const block_t *block) {
 }
 
 static void set_windows(block_t *block) {
-    shoal_block_t *rows = &block->rows;
+    batch_block_t *rows = &block->rows;
     const double periods = floor(block->task->beat_s * block->fps + 0.5);
     rows->pictures_per_window = (uint32_t)periods + 1;
     rows->pictures_min = (uint32_t)fmax(3, ceil(COVERAGE_MIN * (periods + 1)));
@@ -125,12 +125,12 @@ static uint64_t mask_for(uint64_t delay_steps) {
     return mask;
 }
 
-static size_t ring_bytes(uint64_t mask) { return (size_t)(mask + 1) * sizeof(shoal_row_t); }
+static size_t ring_bytes(uint64_t mask) { return (size_t)(mask + 1) * sizeof(batch_row_t); }
 
-static void clear_thrust(shoal_block_t *rows) {
+static void clear_thrust(batch_block_t *rows) {
     uint64_t longest = 0;
     rows->same_delay = rows->whole_delay = true;
-    for (unsigned l = 0; l < SHOAL_LANES; l++) {
+    for (unsigned l = 0; l < BATCH_LANES; l++) {
         longest = rows->delay_steps[l] > longest ? rows->delay_steps[l] : longest;
         rows->same_delay = rows->same_delay && rows->delay_steps[l] == rows->delay_steps[0];
         rows->whole_delay = rows->whole_delay && !(rows->delay_fraction[l] > 0);
@@ -141,14 +141,14 @@ static void clear_thrust(shoal_block_t *rows) {
 
 static void begin(block_t *block) {
     const task_t *task = block->task;
-    shoal_block_t *rows = &block->rows;
+    batch_block_t *rows = &block->rows;
     rows->frame_s = task->beat_s / task->tail->frames_per_beat;
     rows->omega_rad_s = task->tail->omega_rad_s;
     rows->has_servo = has_servo(&task->configs[block->first]);
     rows->lossy = false;
     rows->step = 0;
     block->moves = rows->sways = false;
-    for (unsigned l = 0; l < SHOAL_LANES; l++) {
+    for (unsigned l = 0; l < BATCH_LANES; l++) {
         const size_t fish = fish_of(block, l);
         set_water(block, l, &task->configs[fish], task->swims[fish]);
         set_camera(rows, l, &task->configs[fish], task->swims[fish]);
@@ -159,7 +159,7 @@ static void begin(block_t *block) {
 
 /* Of a fish whose path is no line: along its heading. Nobody has trimmed its tail. */
 static void frame_reactive(block_t *block, const drive_t *drive) {
-    shoal_block_t *rows = &block->rows;
+    batch_block_t *rows = &block->rows;
     plant_t *plant = &block->plant;
     const double way_m = rows->way_m[0];
     const double ahead = plant->motion.cosine, aside = plant->motion.sine;
@@ -175,7 +175,7 @@ static void frame_reactive(block_t *block, const drive_t *drive) {
 
 /* The frame of the fish that swims alone. */
 static void frame_alone(block_t *block, bool limp) {
-    shoal_block_t *rows = &block->rows;
+    batch_block_t *rows = &block->rows;
     plant_t *plant = &block->plant;
     const double dt = rows->frame_s / SUBSTEPS;
     drive_t drive = {{0, 0, 0, 0}, {1, 1, 1, 1}, {0, 0}};
@@ -200,7 +200,7 @@ static void frame_alone(block_t *block, bool limp) {
     }
 }
 
-static void store_fit(block_t *block, shoal_window_t *window) {
+static void store_fit(block_t *block, batch_window_t *window) {
     const task_t *task = block->task;
     task->lanes->fit(&block->rows, window);
     for (unsigned l = 0; l < block->count; l++) {
@@ -213,7 +213,7 @@ static void store_fit(block_t *block, shoal_window_t *window) {
 }
 
 static void open_window(block_t *block, uint64_t beat, double time_s) {
-    shoal_window_t *window = &block->rows.window[beat & 1u];
+    batch_window_t *window = &block->rows.window[beat & 1u];
     memset(window, 0, sizeof *window);
     window->open = true;
     window->beat = beat;
@@ -224,7 +224,7 @@ static void open_window(block_t *block, uint64_t beat, double time_s) {
 static void take_picture(block_t *block, uint64_t time_us) {
     const uint64_t beat_us = (uint64_t)block->task->tail->frames_per_beat * FRAME_US;
     const double part = (double)(time_us % FRAME_US) / FRAME_US * SUBSTEPS;
-    const shoal_picture_t picture = {
+    const batch_picture_t picture = {
         .sample = block->picture,
         .time_s = (double)time_us * 1e-6,
         .in_beat_s = (double)(time_us % beat_us) * 1e-6,
@@ -232,7 +232,7 @@ static void take_picture(block_t *block, uint64_t time_us) {
         .part = part - (unsigned)part,
     };
     const uint64_t beat = time_us / beat_us;
-    shoal_window_t *window = block->rows.window;
+    batch_window_t *window = block->rows.window;
     if (beat >= block->next_beat && beat < block->task->beats) {
         open_window(block, beat, picture.time_s);
         block->next_beat = beat + 1;
@@ -258,7 +258,7 @@ static void look(block_t *block) {
 /* The moving part of the flow, in the frame that has just been computed: held for that frame, as
  * the world holds it. */
 static void move_water(block_t *block) {
-    shoal_block_t *rows = &block->rows;
+    batch_block_t *rows = &block->rows;
     const double since_s = (double)block->frame * rows->frame_s;
     for (unsigned l = 0; l < block->count; l++) {
         const double begin_m = rows->base_m[l] + rows->trace_way_m[0][l] + block->moved_m[l] +
@@ -274,7 +274,7 @@ static void move_water(block_t *block) {
 
 /* What the lanes do for the others at the end of their frame. */
 static void sway_alone(block_t *block, double sine) {
-    shoal_block_t *rows = &block->rows;
+    batch_block_t *rows = &block->rows;
     const double tail_rad = rows->has_servo ? block->tail.servo_rad : rows->amplitude_rad[0] * sine;
     rows->swayed_m[0][0] = rows->swayed_m[1][0];
     rows->swayed_m[1][0] = rows->sway_m_per_rad[0] * tail_rad;
@@ -298,9 +298,9 @@ static void swim_frame(block_t *block, uint32_t frame, bool limp) {
 }
 
 static void begin_beat(block_t *block, size_t beat) {
-    shoal_block_t *rows = &block->rows;
+    batch_block_t *rows = &block->rows;
     const task_t *task = block->task;
-    for (unsigned l = 0; l < SHOAL_LANES; l++) {
+    for (unsigned l = 0; l < BATCH_LANES; l++) {
         rows->base_m[l] +=
             rows->way_m[l] + block->moved_m[l] + (beat > 0 ? rows->flow_m_s[l] * task->beat_s : 0);
         rows->way_m[l] = block->moved_m[l] = 0;
@@ -377,7 +377,7 @@ static bool alike(const sim_config_t *a, const sim_config_t *b) {
 static size_t swim_some(block_t *block, size_t first, size_t fish) {
     const task_t *task = block->task;
     size_t count = 0;
-    while (count < SHOAL_LANES && first + count < fish &&
+    while (count < BATCH_LANES && first + count < fish &&
            alike(&task->configs[first], &task->configs[first + count])) {
         count++;
     }
@@ -437,12 +437,12 @@ static work_t *new_work(const task_t *task, size_t fish) {
         work->task = *task;
         work->task.tail = &work->tail;
         work->block.task = &work->task;
-        work->block.rows.thrust = (shoal_row_t *)(work + 1);
+        work->block.rows.thrust = (batch_row_t *)(work + 1);
     }
     return work;
 }
 
-bool shoal_swim_on(const shoal_lanes_t *lanes, const sim_config_t *configs, size_t fish,
+bool batch_swim_on(const batch_lanes_t *lanes, const sim_config_t *configs, size_t fish,
                    const uint32_t *swims, const double *amplitude_rad, size_t beats, double beat_s,
                    double *true_m_s, double *speed_m_s, double *sigma_m_s) {
     const uint32_t frames = tail_beat_frames(beat_s);
@@ -475,13 +475,13 @@ bool shoal_swim_on(const shoal_lanes_t *lanes, const sim_config_t *configs, size
     return true;
 }
 
-bool shoal_swim(const sim_config_t *configs, size_t fish, const uint32_t *swims,
+bool batch_swim(const sim_config_t *configs, size_t fish, const uint32_t *swims,
                 const double *amplitude_rad, size_t beats, double beat_s, double *true_m_s,
                 double *speed_m_s, double *sigma_m_s) {
-    const shoal_lanes_t *best = shoal_lanes(0);
-    for (size_t i = 1; shoal_lanes(i) != NULL; i++) {
-        best = shoal_lanes(i);
+    const batch_lanes_t *best = batch_lanes(0);
+    for (size_t i = 1; batch_lanes(i) != NULL; i++) {
+        best = batch_lanes(i);
     }
-    return shoal_swim_on(best, configs, fish, swims, amplitude_rad, beats, beat_s, true_m_s,
+    return batch_swim_on(best, configs, fish, swims, amplitude_rad, beats, beat_s, true_m_s,
                          speed_m_s, sigma_m_s);
 }

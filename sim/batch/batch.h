@@ -1,11 +1,11 @@
 /*
  * Many simulated fish side by side: water, tail and overhead camera of the simulator, without a
  * board. A fish swims its sines as sim_plant_beats' does, with the disturbances that the whole
- * simulator draws for the same seed and swim. All tails are trimmed: a shoal swims straight. Any
+ * simulator draws for the same seed and swim. All tails are trimmed: they swim straight. Any
  * number of threads.
  */
-#ifndef SIM_SHOAL_H
-#define SIM_SHOAL_H
+#ifndef SIM_BATCH_H
+#define SIM_BATCH_H
 
 #include "common/sim_config.h"
 
@@ -27,7 +27,7 @@
  *
  * What it works on is allocated, for the longest delay among them. False, and results undefined,
  * when a value makes no sense or there is no memory. */
-bool shoal_swim(const sim_config_t *configs, size_t fish, const uint32_t *swims,
+bool batch_swim(const sim_config_t *configs, size_t fish, const uint32_t *swims,
                 const double *amplitude_rad, size_t beats, double beat_s, double *true_m_s,
                 double *speed_m_s, double *sigma_m_s);
 

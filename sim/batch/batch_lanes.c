@@ -1,4 +1,4 @@
-#include "shoal_lanes.h"
+#include "batch_lanes.h"
 
 #include "common/noise_inline.h"
 
@@ -12,7 +12,7 @@
 #define MISSING_MAX 5.0
 #define SIGMA_MIN_M_S 1e-5
 
-#define EACH_LANE(l) for (unsigned l = 0; l < SHOAL_LANES; l++)
+#define EACH_LANE(l) for (unsigned l = 0; l < BATCH_LANES; l++)
 #define INLINE static inline __attribute__((always_inline))
 
 /* Of the ring, for the substeps of a frame. |late| when all lanes have the same delay. */
@@ -21,7 +21,7 @@ typedef struct {
     const double *late[SUBSTEPS];
 } strip_rows_t;
 
-static strip_rows_t strip_rows(const shoal_block_t *b) {
+static strip_rows_t strip_rows(const batch_block_t *b) {
     strip_rows_t rows;
     for (unsigned i = 0; i < SUBSTEPS; i++) {
         rows.now[i] = b->thrust[(b->step + i) & b->ring_mask];
@@ -30,7 +30,7 @@ static strip_rows_t strip_rows(const shoal_block_t *b) {
     return rows;
 }
 
-INLINE void fit_on(shoal_block_t *b, const shoal_window_t *w) {
+INLINE void fit_on(batch_block_t *b, const batch_window_t *w) {
     const double least = b->pictures_min;
     EACH_LANE(l) {
         const double n = w->n[l];
@@ -56,7 +56,7 @@ INLINE void fit_on(shoal_block_t *b, const shoal_window_t *w) {
 #define STRIP_SQRT(a) ((VEC)_mm_sqrt_pd((__m128d)(a)))
 #define STRIP_MIN(a, b) ((VEC)_mm_min_pd((__m128d)(a), (__m128d)(b)))
 #define STRIP_MAX(a, b) ((VEC)_mm_max_pd((__m128d)(a), (__m128d)(b)))
-#include "shoal_strip.h"
+#include "batch_strip.h"
 
 #define STRIP_LABEL avx2
 #define STRIP_TEXT "avx2"
@@ -65,7 +65,7 @@ INLINE void fit_on(shoal_block_t *b, const shoal_window_t *w) {
 #define STRIP_SQRT(a) ((VEC)_mm256_sqrt_pd((__m256d)(a)))
 #define STRIP_MIN(a, b) ((VEC)_mm256_min_pd((__m256d)(a), (__m256d)(b)))
 #define STRIP_MAX(a, b) ((VEC)_mm256_max_pd((__m256d)(a), (__m256d)(b)))
-#include "shoal_strip.h"
+#include "batch_strip.h"
 
 #define STRIP_LABEL avx512
 #define STRIP_TEXT "avx512"
@@ -74,17 +74,17 @@ INLINE void fit_on(shoal_block_t *b, const shoal_window_t *w) {
 #define STRIP_SQRT(a) ((VEC)_mm512_sqrt_pd((__m512d)(a)))
 #define STRIP_MIN(a, b) ((VEC)_mm512_min_pd((__m512d)(a), (__m512d)(b)))
 #define STRIP_MAX(a, b) ((VEC)_mm512_max_pd((__m512d)(a), (__m512d)(b)))
-#include "shoal_strip.h"
+#include "batch_strip.h"
 
 static bool has_avx512(void) {
     return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
            __builtin_cpu_supports("avx512vl");
 }
 
-const shoal_lanes_t *shoal_lanes(size_t index) {
+const batch_lanes_t *batch_lanes(size_t index) {
     __builtin_cpu_init();
     const bool avx2_there = __builtin_cpu_supports("avx2") != 0;
-    const shoal_lanes_t *const has[] = {&plain, avx2_there ? &avx2 : NULL,
+    const batch_lanes_t *const has[] = {&plain, avx2_there ? &avx2 : NULL,
                                         avx2_there && has_avx512() ? &avx512 : NULL};
     return index < sizeof has / sizeof *has ? has[index] : NULL;
 }
@@ -98,8 +98,8 @@ const shoal_lanes_t *shoal_lanes(size_t index) {
 #define STRIP_SQRT(a) ((VEC){sqrt((a)[0]), sqrt((a)[1])})
 #define STRIP_MIN(a, b) OF(choice)((BITS)((a) < (b)), a, b)
 #define STRIP_MAX(a, b) OF(choice)((BITS)((a) > (b)), a, b)
-#include "shoal_strip.h"
+#include "batch_strip.h"
 
-const shoal_lanes_t *shoal_lanes(size_t index) { return index == 0 ? &plain : NULL; }
+const batch_lanes_t *batch_lanes(size_t index) { return index == 0 ? &plain : NULL; }
 
 #endif

@@ -1,18 +1,18 @@
 /*
- * The arithmetic of shoal.c on SHOAL_LANES fish at once, compiled for several instruction sets with
+ * The arithmetic of batch.c on BATCH_LANES fish at once, compiled for several instruction sets with
  * the same bits: nothing in it is reordered, contracted or approximated.
  */
-#ifndef SIM_SHOAL_LANES_H
-#define SIM_SHOAL_LANES_H
+#ifndef SIM_BATCH_LANES_H
+#define SIM_BATCH_LANES_H
 
 #include "water/plant.h"
 
 #include <stddef.h>
 
-#define SHOAL_LANES 32u
+#define BATCH_LANES 32u
 
-typedef double shoal_row_t[SHOAL_LANES] __attribute__((aligned(64)));
-typedef uint64_t shoal_keys_t[SHOAL_LANES] __attribute__((aligned(64)));
+typedef double batch_row_t[BATCH_LANES] __attribute__((aligned(64)));
+typedef uint64_t batch_keys_t[BATCH_LANES] __attribute__((aligned(64)));
 
 /* Sums over the pictures of one beat. */
 typedef struct {
@@ -20,11 +20,11 @@ typedef struct {
     uint64_t beat;
     uint32_t taken;         /* pictures that should be there */
     double begin_s;         /* first picture */
-    shoal_row_t offset_m;   /* positions count from here */
-    shoal_row_t n, st, stt; /* about the middle of the window; pictures that are there */
-    shoal_row_t sx, stx, sxx;
-    shoal_row_t missing, missing_max; /* in a row */
-} shoal_window_t;
+    batch_row_t offset_m;   /* positions count from here */
+    batch_row_t n, st, stt; /* about the middle of the window; pictures that are there */
+    batch_row_t sx, stx, sxx;
+    batch_row_t missing, missing_max; /* in a row */
+} batch_window_t;
 
 /* One block of fish in mid-swim. Rows go by lane. */
 typedef struct {
@@ -38,26 +38,26 @@ typedef struct {
     double half_window_s;
     uint32_t pictures_per_window, pictures_min;
     /* water and tail */
-    shoal_row_t amplitude_rad; /* of the present beat */
-    shoal_row_t v_m_s, servo_rad, late;
-    shoal_row_t kappa_per_m, slope, bend, dead_zone_rad, delay_fraction; /* gain in slope, bend */
-    shoal_row_t lag_s, keep, most_rad; /* servo: 1 - keep of the lag is made up in a substep */
-    shoal_keys_t delay_steps;
-    shoal_row_t z2_most, vkt_most; /* see drag_step.h: beyond its series the lane is wrong */
-    shoal_row_t way_m;             /* over water since the beat began */
-    shoal_row_t ripple[SUBSTEPS];  /* of the present frame */
-    shoal_row_t trace_v_m_s[SUBSTEPS + 1], trace_way_m[SUBSTEPS + 1];
+    batch_row_t amplitude_rad; /* of the present beat */
+    batch_row_t v_m_s, servo_rad, late;
+    batch_row_t kappa_per_m, slope, bend, dead_zone_rad, delay_fraction; /* gain in slope, bend */
+    batch_row_t lag_s, keep, most_rad; /* servo: 1 - keep of the lag is made up in a substep */
+    batch_keys_t delay_steps;
+    batch_row_t z2_most, vkt_most; /* see drag_step.h: beyond its series the lane is wrong */
+    batch_row_t way_m;             /* over water since the beat began */
+    batch_row_t ripple[SUBSTEPS];  /* of the present frame */
+    batch_row_t trace_v_m_s[SUBSTEPS + 1], trace_way_m[SUBSTEPS + 1];
     /* camera */
-    shoal_row_t flow_m_s, base_m; /* position at the beat's begin */
-    shoal_row_t ahead;            /* part of the way that is along the tank */
-    shoal_row_t sway_m_per_rad;   /* of the tail */
-    shoal_row_t swayed_m[2];      /* the head's sway along it as the frame begins and ends */
-    shoal_row_t noise_m;
-    shoal_keys_t noise_key, lost_key, lost_below;
-    shoal_window_t window[2];
-    shoal_row_t speed_m_s, sigma_m_s; /* of the window that was fitted last */
-    shoal_row_t *thrust;              /* ring of ring_mask + 1 substeps */
-} shoal_block_t;
+    batch_row_t flow_m_s, base_m; /* position at the beat's begin */
+    batch_row_t ahead;            /* part of the way that is along the tank */
+    batch_row_t sway_m_per_rad;   /* of the tail */
+    batch_row_t swayed_m[2];      /* the head's sway along it as the frame begins and ends */
+    batch_row_t noise_m;
+    batch_keys_t noise_key, lost_key, lost_below;
+    batch_window_t window[2];
+    batch_row_t speed_m_s, sigma_m_s; /* of the window that was fitted last */
+    batch_row_t *thrust;              /* ring of ring_mask + 1 substeps */
+} batch_block_t;
 
 /* When and where in the frame a picture is taken. */
 typedef struct {
@@ -66,25 +66,25 @@ typedef struct {
     double in_beat_s; /* since the beat began */
     unsigned substep;
     double part; /* of that substep */
-} shoal_picture_t;
+} batch_picture_t;
 
 typedef struct {
     const char *name;
     /* One frame of the tail from |sine| to |next_sine| times the amplitude; |ripple| serves fish
      * without a servo. */
-    void (*frame)(shoal_block_t *block, double sine, double next_sine,
+    void (*frame)(batch_block_t *block, double sine, double next_sine,
                   const double ripple[SUBSTEPS]);
     /* Adds a picture out of the last frame to the open windows. */
-    void (*picture)(shoal_block_t *block, const shoal_picture_t *picture);
-    void (*fit)(shoal_block_t *block, const shoal_window_t *window);
-} shoal_lanes_t;
+    void (*picture)(batch_block_t *block, const batch_picture_t *picture);
+    void (*fit)(batch_block_t *block, const batch_window_t *window);
+} batch_lanes_t;
 
 /* The |index|-th set of instructions that this processor has, plainest first; NULL past the last.
  */
-const shoal_lanes_t *shoal_lanes(size_t index);
+const batch_lanes_t *batch_lanes(size_t index);
 
-/* shoal_swim on one of them. */
-bool shoal_swim_on(const shoal_lanes_t *lanes, const sim_config_t *configs, size_t fish,
+/* batch_swim on one of them. */
+bool batch_swim_on(const batch_lanes_t *lanes, const sim_config_t *configs, size_t fish,
                    const uint32_t *swims, const double *amplitude_rad, size_t beats, double beat_s,
                    double *true_m_s, double *speed_m_s, double *sigma_m_s);
 

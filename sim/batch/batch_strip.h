@@ -1,5 +1,5 @@
 /*
- * The frames and pictures of shoal_lanes.c for one set of instructions: STRIP_TARGET, with vectors
+ * The frames and pictures of batch_lanes.c for one set of instructions: STRIP_TARGET, with vectors
  * of STRIP_WIDTH doubles and STRIP_SQRT, STRIP_MIN, STRIP_MAX of them. A strip of lanes goes
  * through a whole frame within registers. Every value is computed by the same operations in the
  * same order as for one fish: only what no lane needs is left out.
@@ -22,7 +22,7 @@ typedef uint64_t OF(bits_t)
 #define LOOK(row) (*(const VEC *)&(row)[l])
 #define LOOK_BITS(row) (*(const BITS *)&(row)[l])
 #define STRIPS 2
-#define EACH_STRIP(l) for (unsigned l = 0; l < SHOAL_LANES; l += STRIP_WIDTH)
+#define EACH_STRIP(l) for (unsigned l = 0; l < BATCH_LANES; l += STRIP_WIDTH)
 
 /* Where |first|, |a|, elsewhere |b|. */
 STRIP_INLINE VEC OF(choice)(BITS first, VEC a, VEC b) {
@@ -68,7 +68,7 @@ STRIP_INLINE void OF(servo_pushes)(OF(tail_t) * tail) {
     tail->thrust = OF(thrust)(tail, tail->thrust);
 }
 
-STRIP_INLINE void OF(begin_servo)(OF(tail_t) * tail, const shoal_block_t *b, unsigned l,
+STRIP_INLINE void OF(begin_servo)(OF(tail_t) * tail, const batch_block_t *b, unsigned l,
                                   double sine, double next_sine) {
     const double h = b->frame_s / SUBSTEPS;
     const VEC begin = LOOK(b->amplitude_rad) * sine;
@@ -83,7 +83,7 @@ STRIP_INLINE void OF(begin_servo)(OF(tail_t) * tail, const shoal_block_t *b, uns
 
 /* The thrust that a substep gets, of |rows| or, when every lane has a delay of its own, of the
  * ring. */
-STRIP_INLINE VEC OF(delayed)(const shoal_block_t *b, const strip_rows_t *rows, unsigned i,
+STRIP_INLINE VEC OF(delayed)(const batch_block_t *b, const strip_rows_t *rows, unsigned i,
                              unsigned l) {
     if (b->same_delay) {
         return LOOK(rows->late[i]);
@@ -117,7 +117,7 @@ STRIP_INLINE void OF(water_step)(OF(water_t) * water, VEC late, bool whole, VEC 
     water->vv = vv;
 }
 
-STRIP_INLINE void OF(begin_water)(OF(water_t) * water, const shoal_block_t *b, unsigned l,
+STRIP_INLINE void OF(begin_water)(OF(water_t) * water, const batch_block_t *b, unsigned l,
                                   double dt) {
     water->kt = LOOK(b->kappa_per_m) * dt;
     water->delay_fraction = LOOK(b->delay_fraction);
@@ -129,7 +129,7 @@ STRIP_INLINE void OF(begin_water)(OF(water_t) * water, const shoal_block_t *b, u
     water->vkt_most = LOOK(b->vkt_most);
 }
 
-STRIP_INLINE void OF(keep_water)(const OF(water_t) * water, shoal_block_t *b, unsigned l) {
+STRIP_INLINE void OF(keep_water)(const OF(water_t) * water, batch_block_t *b, unsigned l) {
     AT(b->v_m_s) = water->v;
     AT(b->way_m) = water->way;
     AT(b->late) = water->late;
@@ -138,7 +138,7 @@ STRIP_INLINE void OF(keep_water)(const OF(water_t) * water, shoal_block_t *b, un
 }
 
 /* How far the head has swayed along the tank with its tail, by the end of the frame. */
-STRIP_INLINE void OF(sway)(shoal_block_t *b, unsigned l, double next_sine) {
+STRIP_INLINE void OF(sway)(batch_block_t *b, unsigned l, double next_sine) {
     VEC tail_rad = LOOK(b->amplitude_rad) * next_sine;
     if (b->has_servo) {
         tail_rad = LOOK(b->servo_rad);
@@ -147,7 +147,7 @@ STRIP_INLINE void OF(sway)(shoal_block_t *b, unsigned l, double next_sine) {
     AT(b->swayed_m[1]) = LOOK(b->sway_m_per_rad) * tail_rad;
 }
 
-STRIP_INLINE void OF(begin_tail)(OF(tail_t) * tail, const shoal_block_t *b, unsigned l, double sine,
+STRIP_INLINE void OF(begin_tail)(OF(tail_t) * tail, const batch_block_t *b, unsigned l, double sine,
                                  double next_sine, bool has_servo) {
     tail->dead_zone = LOOK(b->dead_zone_rad);
     tail->slope = LOOK(b->slope);
@@ -160,7 +160,7 @@ STRIP_INLINE void OF(begin_tail)(OF(tail_t) * tail, const shoal_block_t *b, unsi
 }
 
 /* |i|: of the points of the frame. */
-STRIP_INLINE void OF(trace)(shoal_block_t *b, const OF(water_t) * water, unsigned l, unsigned i) {
+STRIP_INLINE void OF(trace)(batch_block_t *b, const OF(water_t) * water, unsigned l, unsigned i) {
     AT(b->trace_v_m_s[i]) = water->v;
     AT(b->trace_way_m[i]) = water->way;
 }
@@ -168,7 +168,7 @@ STRIP_INLINE void OF(trace)(shoal_block_t *b, const OF(water_t) * water, unsigne
 #define EACH_BESIDE(l) for (unsigned p = 0, l = first; p < STRIPS; p++, l += STRIP_WIDTH)
 
 /* STRIPS strips beside each other, so that none waits for its own roots and quotients. */
-STRIP_INLINE void OF(strips_frame)(shoal_block_t *b, const strip_rows_t *rows, unsigned first,
+STRIP_INLINE void OF(strips_frame)(batch_block_t *b, const strip_rows_t *rows, unsigned first,
                                    double sine, double next_sine, const double *ripple,
                                    bool has_servo, bool traced) {
     const double dt = b->frame_s / SUBSTEPS;
@@ -209,10 +209,10 @@ STRIP_INLINE void OF(strips_frame)(shoal_block_t *b, const strip_rows_t *rows, u
     }
 }
 
-STRIP_TARGET static void OF(frame)(shoal_block_t *b, double sine, double next_sine,
+STRIP_TARGET static void OF(frame)(batch_block_t *b, double sine, double next_sine,
                                    const double ripple[SUBSTEPS]) {
     const strip_rows_t rows = strip_rows(b);
-    for (unsigned l = 0; l < SHOAL_LANES; l += STRIPS * STRIP_WIDTH) {
+    for (unsigned l = 0; l < BATCH_LANES; l += STRIPS * STRIP_WIDTH) {
         if (!b->has_servo) {
             OF(strips_frame)(b, &rows, l, sine, next_sine, ripple, false, true);
         } else if (b->traced) {
@@ -252,7 +252,7 @@ STRIP_INLINE VEC OF(normal)(BITS coins) {
 }
 
 /* Cubic through position and speed at both ends of a substep, as fish_at; then the noise. */
-STRIP_INLINE VEC OF(position)(const shoal_block_t *b, const shoal_picture_t *p, unsigned l) {
+STRIP_INLINE VEC OF(position)(const batch_block_t *b, const batch_picture_t *p, unsigned l) {
     const VEC x0 = LOOK(b->trace_way_m[p->substep]), x1 = LOOK(b->trace_way_m[p->substep + 1]);
     const VEC v0 = LOOK(b->trace_v_m_s[p->substep]), v1 = LOOK(b->trace_v_m_s[p->substep + 1]);
     const double u = p->part, w = 1 - u;
@@ -267,7 +267,7 @@ STRIP_INLINE VEC OF(position)(const shoal_block_t *b, const shoal_picture_t *p, 
     return LOOK(b->ahead) * along - swayed + LOOK(b->noise_m) * noise;
 }
 
-STRIP_INLINE void OF(add_all)(shoal_window_t *w, unsigned l, double t, VEC x) {
+STRIP_INLINE void OF(add_all)(batch_window_t *w, unsigned l, double t, VEC x) {
     const VEC dx = x - LOOK(w->offset_m);
     AT(w->sx) += dx;
     AT(w->stx) += t * dx;
@@ -278,7 +278,7 @@ STRIP_INLINE void OF(add_all)(shoal_window_t *w, unsigned l, double t, VEC x) {
 }
 
 /* |lost|: all bits of a lane whose picture is missing. */
-STRIP_INLINE void OF(add_seen)(shoal_window_t *w, unsigned l, double t, VEC x, BITS lost) {
+STRIP_INLINE void OF(add_seen)(batch_window_t *w, unsigned l, double t, VEC x, BITS lost) {
     const VEC one = (VEC)((BITS)(1.0 - (VEC){0}) & ~lost);
     const VEC dx = one * (x - LOOK(w->offset_m));
     const VEC missing = (VEC)((BITS)(LOOK(w->missing) + 1) & lost);
@@ -293,12 +293,12 @@ STRIP_INLINE void OF(add_seen)(shoal_window_t *w, unsigned l, double t, VEC x, B
 }
 
 /* noise_uniform(...) < camera_lost, in whole numbers. */
-STRIP_INLINE BITS OF(lost)(const shoal_block_t *b, uint64_t sample, unsigned l) {
+STRIP_INLINE BITS OF(lost)(const batch_block_t *b, uint64_t sample, unsigned l) {
     const BITS draw = OF(mix)(LOOK_BITS(b->lost_key) + (sample + 1u) * NOISE_GOLDEN) >> 11;
     return (BITS)(draw < LOOK_BITS(b->lost_below));
 }
 
-STRIP_TARGET static void OF(picture)(shoal_block_t *b, const shoal_picture_t *p) {
+STRIP_TARGET static void OF(picture)(batch_block_t *b, const batch_picture_t *p) {
     double t[2];
     for (unsigned i = 0; i < 2; i++) {
         t[i] = p->time_s - b->window[i].begin_s - b->half_window_s;
@@ -316,9 +316,9 @@ STRIP_TARGET static void OF(picture)(shoal_block_t *b, const shoal_picture_t *p)
     }
 }
 
-STRIP_TARGET static void OF(fit)(shoal_block_t *b, const shoal_window_t *w) { fit_on(b, w); }
+STRIP_TARGET static void OF(fit)(batch_block_t *b, const batch_window_t *w) { fit_on(b, w); }
 
-static const shoal_lanes_t STRIP_LABEL = {STRIP_TEXT, OF(frame), OF(picture), OF(fit)};
+static const batch_lanes_t STRIP_LABEL = {STRIP_TEXT, OF(frame), OF(picture), OF(fit)};
 
 #undef EACH_STRIP
 #undef EACH_BESIDE

@@ -97,7 +97,7 @@ static void set_servo(suite_t *suite, const char *arguments) {
     say(suite, "done", "servo");
 }
 
-static void obey(suite_t *suite, const char *line) {
+static void execute(suite_t *suite, const char *line) {
     const char *name = after(line, "run");
     const char *servo = after(line, "servo");
     if (name != NULL) {
@@ -138,7 +138,7 @@ void app_poll(app_t *app) {
     if (app->running != NULL) {
         advance(app);
     } else if (console_command(&app->console, app->hal)) {
-        obey(app, app->console.line);
+        execute(app, app->console.line);
     }
     console_send(&app->console, app->hal);
 }

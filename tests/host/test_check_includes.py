@@ -76,7 +76,7 @@ def test_the_repository_is_right() -> None:
         ("sim/fish/bad.h", '#include "world.h"'),
         ("sim/sensor/bad.c", '#include "host/line.h"'),
         ("sim/camera/bad.c", '#include "sensor/vn100.h"'),
-        ("sim/bad.c", '#include "batch/shoal.h"'),
+        ("sim/bad.c", '#include "batch/batch.h"'),
         ("sim/batch/bad.c", '#include "world.h"'),
     ],
 )

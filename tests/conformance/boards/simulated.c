@@ -96,7 +96,7 @@ static void tell_pulses(void) {
     printf("\n");
 }
 
-static void obey(sim_t *sim, char *line) {
+static void execute(sim_t *sim, char *line) {
     if (strncmp(line, "run ", 4) == 0) {
         run(sim, strtoull(line + 4, NULL, 10));
     } else if (strncmp(line, "write ", 6) == 0) {
@@ -119,7 +119,7 @@ int main(int count, char **arguments) {
         return EXIT_FAILURE;
     }
     while (fgets(line, sizeof line, stdin) != NULL) {
-        obey(sim, line);
+        execute(sim, line);
     }
     sim_free(sim);
     return EXIT_SUCCESS;

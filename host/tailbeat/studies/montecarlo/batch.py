@@ -66,7 +66,7 @@ class FishBatch:
         numbers = np.ascontiguousarray(np.broadcast_to(number, self._count), dtype=np.uint32)
         true, speed, sigma = (np.empty_like(amplitude) for _ in range(3))
         arrays = [ffi.from_buffer("double[]", one) for one in (amplitude, true, speed, sigma)]
-        if not lib.shoal_swim(
+        if not lib.batch_swim(
             self._configs, self._count, ffi.from_buffer("uint32_t[]", numbers), arrays[0],
             amplitude.shape[1], beat_s, *arrays[1:],
         ):  # fmt: skip

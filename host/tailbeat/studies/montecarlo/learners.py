@@ -2,8 +2,8 @@
 
 The fish are side by side: the simulator's water, tail and camera, without board and wire. Each
 moves exactly as the simulated board's would with the same settings, seed and trial number; its
-speeds are measured from its camera's noisy pictures by a line over each beat (sim/shoal.h). They
-are taught with the very functions that a real fish is taught with.
+speeds are measured from its camera's noisy pictures by a line over each beat (sim/batch/batch.h).
+They are taught with the very functions that a real fish is taught with.
 """
 
 from __future__ import annotations
