@@ -56,8 +56,7 @@ static fault_t change_params(app_t *app, link_command_id_t id) {
         (void)sensor_configure(&app->sensor, &app->params);
         return FAULT_NONE;
     }
-    return vault_save_params(&app->vault, &app->params) == STORE_OK ? FAULT_NONE
-                                                                    : FAULT_WRITE_FAILED;
+    return vault_fault(vault_save_params(&app->vault, &app->params));
 }
 
 static fault_t reboot(app_t *app) {

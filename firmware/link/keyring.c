@@ -15,7 +15,7 @@ void keyring_init(keyring_t *keyring, hal_t *hal, vault_t *vault, signing_t *sig
 }
 
 static fault_t save(keyring_t *keyring, const key_record_t *record) {
-    return vault_save_key(keyring->vault, record) == STORE_OK ? FAULT_NONE : FAULT_WRITE_FAILED;
+    return vault_fault(vault_save_key(keyring->vault, record));
 }
 
 static fault_t store_mark(keyring_t *keyring, uint64_t mark) {

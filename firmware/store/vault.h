@@ -37,6 +37,11 @@ typedef struct {
 /* A zeroed |vault|, before its store is mounted (salvage.h). */
 void vault_init(vault_t *vault, vault_alive_t alive, void *context);
 
+/* FAULT_NONE, or FAULT_WRITE_FAILED. */
+static inline fault_t vault_fault(store_result_t result) {
+    return result == STORE_OK ? FAULT_NONE : FAULT_WRITE_FAILED;
+}
+
 /* All that takes long and is no record either: the loops of others. */
 void vault_still_alive(vault_t *vault);
 

@@ -83,18 +83,15 @@ fault_t trial_set_speeds(trial_t *trial, const speed_upload_t *speeds) {
     if (refused != FAULT_NONE) {
         return refused;
     }
-    return trial_run_upload(&trial->run, vault_of(trial), speeds, guard_beats,
-                            hal_time_us(trial->with.hal)) == STORE_OK
-               ? FAULT_NONE
-               : FAULT_WRITE_FAILED;
+    return vault_fault(trial_run_upload(&trial->run, vault_of(trial), speeds, guard_beats,
+                                        hal_time_us(trial->with.hal)));
 }
 
 fault_t trial_discard(trial_t *trial, uint32_t number) {
     if (!trial->run.pending || number != trial->run.trial.number) {
         return FAULT_NO_TRIAL;
     }
-    return trial_run_forget(&trial->run, vault_of(trial)) == STORE_OK ? FAULT_NONE
-                                                                      : FAULT_WRITE_FAILED;
+    return vault_fault(trial_run_forget(&trial->run, vault_of(trial)));
 }
 
 void trial_stop(trial_t *trial, fault_t asked) {

@@ -15,10 +15,6 @@ uint32_t flash_rewrite_max_us(const hal_t *hal) {
     return geometry->erase_max_us + geometry->program_max_us;
 }
 
-bool flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
-    return hal_flash_read(hal, offset, out, length);
-}
-
 bool flash_rewrite(hal_t *hal, uint32_t offset, const void *page) {
     return hal_flash_erase(hal, offset) && hal_flash_program(hal, offset, page);
 }

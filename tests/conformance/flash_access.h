@@ -20,8 +20,6 @@ uint32_t flash_unit_bytes(const hal_t *hal);
 /* Longest time of flash_rewrite() that hal/include/hal allows. */
 uint32_t flash_rewrite_max_us(const hal_t *hal);
 
-bool flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length);
-
 /* Erases the unit at |offset| and writes its first page: one cycle of wear. */
 bool flash_rewrite(hal_t *hal, uint32_t offset, const void *page);
 

@@ -23,7 +23,7 @@
 static bool is_blank(hal_t *hal, uint32_t offset, uint32_t length) {
     uint8_t part[64];
     for (uint32_t done = 0; done < length; done += sizeof part) {
-        if (!flash_read(hal, offset + done, part, sizeof part)) {
+        if (!hal_flash_read(hal, offset + done, part, sizeof part)) {
             return false;
         }
         for (uint32_t i = 0; i < sizeof part; i++) {
@@ -57,7 +57,7 @@ static void fill_page(uint8_t *page, uint32_t number) {
 static bool holds(hal_t *hal, uint32_t offset, const uint8_t *page) {
     uint8_t read[FLASH_PAGE_BYTES_MAX];
     const uint32_t length = flash_page_bytes(hal);
-    return flash_read(hal, offset, read, length) && memcmp(read, page, length) == 0;
+    return hal_flash_read(hal, offset, read, length) && memcmp(read, page, length) == 0;
 }
 
 static void begin(suite_t *suite) { suite->progress.offset = find_area(suite->hal); }
@@ -69,10 +69,10 @@ static uint32_t refused_reads(suite_t *suite) {
     const uint32_t size = flash_size(hal);
     uint8_t *out = suite->block;
     uint32_t refused = 0;
-    refused += !flash_read(hal, size, out, 1) ? 1u : 0u;
-    refused += !flash_read(hal, size - 1u, out, 2) ? 1u : 0u;
-    refused += !flash_read(hal, UINT32_MAX, out, 2) ? 1u : 0u;
-    refused += !flash_read(hal, size - 16u, out, 17) ? 1u : 0u;
+    refused += !hal_flash_read(hal, size, out, 1) ? 1u : 0u;
+    refused += !hal_flash_read(hal, size - 1u, out, 2) ? 1u : 0u;
+    refused += !hal_flash_read(hal, UINT32_MAX, out, 2) ? 1u : 0u;
+    refused += !hal_flash_read(hal, size - 16u, out, 17) ? 1u : 0u;
     return refused;
 }
 
@@ -94,8 +94,8 @@ static uint32_t refused_writes(suite_t *suite) {
 static uint32_t allowed_reads(suite_t *suite) {
     const uint32_t size = flash_size(suite->hal);
     uint32_t allowed = 0;
-    allowed += flash_read(suite->hal, size - 1u, suite->block, 1) ? 1u : 0u;
-    allowed += flash_read(suite->hal, 0, suite->block, flash_page_bytes(suite->hal)) ? 1u : 0u;
+    allowed += hal_flash_read(suite->hal, size - 1u, suite->block, 1) ? 1u : 0u;
+    allowed += hal_flash_read(suite->hal, 0, suite->block, flash_page_bytes(suite->hal)) ? 1u : 0u;
     return allowed;
 }
 
