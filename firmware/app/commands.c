@@ -60,8 +60,7 @@ static fault_t change_params(app_t *app, link_command_id_t id) {
 }
 
 static fault_t reboot(app_t *app) {
-    const state_t state = app->supervisor.state;
-    if (state != STATE_IDLE && state != STATE_ABORTED && state != STATE_FAULT) {
+    if (!state_is_at_rest(app->supervisor.state)) {
         return FAULT_WRONG_STATE;
     }
     (void)trial_finish(&app->trial, hal_time_us(app->hal));
@@ -199,9 +198,7 @@ fault_t commands_param_set(void *context, param_t param, float value) {
 
 fault_t commands_set_key(void *context, const uint8_t *key, uint64_t time) {
     app_t *app = context;
-    const state_t state = app->supervisor.state;
-    const bool still = state == STATE_IDLE || state == STATE_ABORTED || state == STATE_FAULT;
-    if (!still || trial_is_open(&app->trial)) {
+    if (!state_is_at_rest(app->supervisor.state) || trial_is_open(&app->trial)) {
         return FAULT_WRONG_STATE;
     }
     return damage_judge(app, keyring_set(&app->keyring, key, time));

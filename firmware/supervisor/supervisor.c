@@ -63,12 +63,6 @@ bool supervisor_allows(const supervisor_t *supervisor, event_t event) {
     return supervisor_event(&trial, event, FAULT_ABORT_COMMAND);
 }
 
-bool supervisor_may_swim(const supervisor_t *supervisor) {
-    return supervisor->state == STATE_RUNNING;
-}
-
-bool state_is_armed(state_t state) { return state == STATE_ARMED || state == STATE_RUNNING; }
-
 const char *state_name(state_t state) {
     static const char *const NAMES[STATE_COUNT] = {
         [STATE_BOOT] = "BOOT",       [STATE_IDLE] = "IDLE",         [STATE_ARMED] = "ARMED",

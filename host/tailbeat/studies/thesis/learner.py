@@ -49,7 +49,7 @@ class LearnerRefused(TailbeatError):
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """``learner_config_t``; fields and units as in ilc/law.h and learner.h.
+    """``buffer_learner_config_t``; fields and units as in ilc/law.h and learner.h.
 
     ``weights``: for ``past="window"``, newest first, (input, kp, kd) each; their number is the
     window. ``step`` is the sample period, ``lead`` whole or half samples.
@@ -98,10 +98,10 @@ class Learner:
         self._native = load(precision)
         ffi, lib = self._native.ffi, self._native.lib
         self.config = config
-        made = ffi.new("learner_config_t *", config.native())
+        made = ffi.new("buffer_learner_config_t *", config.native())
         size = lib.buffer_learner_bytes(made)
         self._memory = ffi.new("double[]", size // 8 + 1)  # aligned for either number
-        self._learner = ffi.new("learner_t *")
+        self._learner = ffi.new("buffer_learner_t *")
         self._report = ffi.new("law_report_t *")
         start = ffi.NULL
         if first is not None:
