@@ -63,6 +63,10 @@ bool supervisor_allows(const supervisor_t *supervisor, event_t event) {
     return supervisor_event(&trial, event, FAULT_ABORT_COMMAND);
 }
 
+bool state_is_armed(state_t state) { return state == STATE_ARMED || state == STATE_RUNNING; }
+
+bool state_is_at_rest(state_t state) { return state == STATE_IDLE || stopped(state); }
+
 const char *state_name(state_t state) {
     static const char *const NAMES[STATE_COUNT] = {
         [STATE_BOOT] = "BOOT",       [STATE_IDLE] = "IDLE",         [STATE_ARMED] = "ARMED",

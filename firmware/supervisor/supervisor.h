@@ -59,19 +59,11 @@ bool supervisor_event(supervisor_t *supervisor, event_t event, fault_t fault);
 /* Whether |event| would be taken now; EVENT_STOP: whether an abort by command would. */
 bool supervisor_allows(const supervisor_t *supervisor, event_t event);
 
-static inline bool supervisor_may_swim(const supervisor_t *supervisor) {
-    return supervisor->state == STATE_RUNNING;
-}
-
 /* MAV_MODE_FLAG_SAFETY_ARMED: ARMED or RUNNING. */
-static inline bool state_is_armed(state_t state) {
-    return state == STATE_ARMED || state == STATE_RUNNING;
-}
+bool state_is_armed(state_t state);
 
 /* IDLE, ABORTED or FAULT: nothing swims, nothing is about to, and no trial is being taught. */
-static inline bool state_is_at_rest(state_t state) {
-    return state == STATE_IDLE || state == STATE_ABORTED || state == STATE_FAULT;
-}
+bool state_is_at_rest(state_t state);
 
 /* "IDLE", ... */
 const char *state_name(state_t state);

@@ -347,7 +347,7 @@ void trial_give_orders(trial_t *trial, uint64_t now_us, const battery_voltage_t 
         trial_follow_params(trial);
     }
     const control_orders_t orders = {
-        .swim = supervisor_may_swim(trial->with.supervisor),
+        .swim = trial->with.supervisor->state == STATE_RUNNING,
         .armed = state_is_armed(trial->with.supervisor->state),
         .blink_until_us = trial->blink_until_us,
         .trial = trial->run.trial.number,

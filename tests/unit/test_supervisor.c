@@ -125,7 +125,7 @@ static void a_trial_goes_round(void) {
     TEST_ASSERT_EQUAL_INT(STATE_BOOT, supervisor.state);
     for (size_t i = 0; i < COUNT_OF(way); i++) {
         TEST_ASSERT_TRUE(supervisor_event(&supervisor, way[i], FAULT_NONE));
-        TEST_ASSERT_EQUAL_INT(way[i] == EVENT_START, supervisor_may_swim(&supervisor));
+        TEST_ASSERT_EQUAL_INT(way[i] == EVENT_START, supervisor.state == STATE_RUNNING);
         TEST_ASSERT_EQUAL_INT(way[i] == EVENT_ARM || way[i] == EVENT_START,
                               state_is_armed(supervisor.state));
     }
@@ -158,7 +158,6 @@ static void a_random_walk_keeps_the_rules(void) {
         const supervisor_t before = supervisor;
         const bool taken = supervisor_event(&supervisor, event, (fault_t)fault_row(row)->number);
         visits[supervisor.state]++;
-        TEST_ASSERT_EQUAL_INT(supervisor.state == STATE_RUNNING, supervisor_may_swim(&supervisor));
         TEST_ASSERT_EQUAL_INT(is_stopped(supervisor.state), supervisor.reason != FAULT_NONE);
         TEST_ASSERT_TRUE(taken ||
                          (supervisor.state == before.state && supervisor.reason == before.reason));
