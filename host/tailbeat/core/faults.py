@@ -39,6 +39,7 @@ NOT_FRESH = 63
 NOT_WIRED = 64
 LAW_FEEDBACK = 66
 LAW_SIGN = 67
+ERASING = 69
 
 _KINDS = ("none", "abort", "fault", "refusal")
 

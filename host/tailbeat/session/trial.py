@@ -9,7 +9,7 @@ from dataclasses import astuple, dataclass, field
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import ConnectError, LinkLostError, Refused, TailbeatError
-from tailbeat.core.faults import NOT_STILL, STALE_COMMAND
+from tailbeat.core.faults import ERASING, NOT_STILL, STALE_COMMAND
 from tailbeat.core.speed_source import Camera, SpeedSource, TrackReset, Unseen, source_info
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Message, text_of
@@ -34,13 +34,15 @@ from tailbeat.session.trial_wire import SILENCE_S, TrialWire
 _HEARD = ("TAILBEAT_STATUS", "TAILBEAT_BEAT", "STATUSTEXT")
 _POLL_S = 0.02  # of board time; a camera behind another socket does not end a wait
 _SETTLE_MARGIN_S = 2.0
-_STILL_LOOK_S = 0.5
+_LOOK_S = 0.5
 _STALL_S = 60.0  # of board time without a new beat or state; no beat and no settling is longer
 _RETRY_S = 0.5
 _REJECTED_MAX = 6  # in one attempt; a board sends two a second, a stray one proves nothing
 _HEARTBEAT_S = 0.3  # of board time; many of them may be lost before the board stops the tail
 _REST_WAIT_S = 30.0  # of board time: the board waits so long for the fish to rest after the trial
 _STILL_WAIT_S = 60.0  # of board time, for somebody to hold the fish still before the start
+_ERASE_WAIT_S = 300.0  # of board time: 143 blocks of 64 KiB at the longest 2 s
+_START_WAIT_S = {NOT_STILL: _STILL_WAIT_S, ERASING: _ERASE_WAIT_S}
 
 
 @dataclass
@@ -55,7 +57,7 @@ class _Run:
     source: SpeedSource = field(default_factory=lambda: source_info(0))
     camera: TrialCamera | None = None
     wire: TrialWire = field(init=False)
-    asked: set[str] = field(default_factory=set)
+    told: set[str] = field(default_factory=set)
     number: int = 0
     iteration: int = 0
     beats: dict[int, BeatEvent] = field(default_factory=dict)
@@ -202,20 +204,37 @@ def _start(run: _Run) -> None:
 
 
 def _send_start(run: _Run) -> None:
-    """Starts; a fish that is not still yet is waited for."""
+    """Starts; a fish that is not still yet, or still erases its storage, is waited for."""
     fish = run.fish
     begin_s = fish.transport.now_s()
-    _wait_until_still(run)
     while True:
+        _wait_until_still(run)
         try:
             _command_start(run)
             return
         except Refused as refused:
             run.may_swim = False
             waited_s = (fish.transport.now_s() - begin_s) * fish.clock.rate
-            if refused.number != NOT_STILL or waited_s > _STILL_WAIT_S:
+            if waited_s > _START_WAIT_S.get(refused.number, 0.0):
                 raise
-        _wait_until_still(run)
+            erasing = refused.number == ERASING
+        if erasing and _began_meanwhile(run):
+            return
+
+
+def _began_meanwhile(run: _Run) -> bool:
+    """Lets it erase a little. The refusal may be of a command that was said twice and then taken;
+    else the board may have counted a trial that it did not start."""
+    fish = run.fish
+    text = "the board erases its storage; the trial starts by itself after that"
+    _emit_once(run, TrialWarning(text))
+    fish.link.run(_LOOK_S / max(fish.clock.rate, 1.0))
+    next_trial = fish.status().next_trial
+    if _swims(run):
+        run.may_swim = True
+        return True
+    run.number = next_trial
+    return False
 
 
 def _command_start(run: _Run) -> None:
@@ -280,14 +299,14 @@ def _wait_until_still(run: _Run) -> None:
     while fish.transport.now_s() < end_s:
         if fish.link.request("TAILBEAT_IMU_INFO").still_s >= rest_min_s:
             return
-        _ask_to_hold(run, "hold the fish still; the trial starts by itself once it is")
-        fish.link.run(_STILL_LOOK_S / max(fish.clock.rate, 1.0))
+        _emit_once(run, HoldRequest("hold the fish still; the trial starts by itself once it is"))
+        fish.link.run(_LOOK_S / max(fish.clock.rate, 1.0))
 
 
-def _ask_to_hold(run: _Run, text: str) -> None:
-    if text not in run.asked:
-        run.asked.add(text)
-        run.emit(HoldRequest(text))
+def _emit_once(run: _Run, event: HoldRequest | TrialWarning) -> None:
+    if event.text not in run.told:
+        run.told.add(event.text)
+        run.emit(event)
 
 
 def _hear(run: _Run, message: Message) -> None:
@@ -316,7 +335,8 @@ def _take_status(run: _Run, status: BoardStatus) -> None:
         run.progress = (status.state, status.beat)
         run.progress_at_s = run.fish.link.transport.now_s()
     if run.source.needs_rests and status.state == "SETTLING":
-        _ask_to_hold(run, "done; catch the fish and hold it still until the result is there")
+        text = "done; catch the fish and hold it still until the result is there"
+        _emit_once(run, HoldRequest(text))
 
 
 def _consult(run: _Run, what: object) -> None:

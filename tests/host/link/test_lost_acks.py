@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 
 from tailbeat.board.fish import Fish
-from tailbeat.core import records
+from tailbeat.core import faults, records
 from tailbeat.core.errors import Refused
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.frames import Framer
 from tailbeat.link.impaired import Cut, Delay, Duplicate, ImpairedLine
-from tailbeat.link.mavlink import Message
-from tailbeat.session.events import LinkLost, LinkRestored, TrialEnded
+from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Message
+from tailbeat.session.events import Event, LinkLost, LinkRestored, TrialEnded, TrialWarning
 from tailbeat.session.trial import run_trial
 
 
@@ -170,3 +170,58 @@ def test_a_trial_over_a_cut_goes_on(ready: Fish) -> None:
     outcome = run_trial(ready, on_event=lambda event: events.append(type(event)))
     assert outcome.end == "complete"
     assert events.index(LinkLost) < events.index(LinkRestored) < events.index(TrialEnded)
+
+
+@dataclass
+class Erasing:
+    """Two faults of one line: a START that goes up is refused with ERASING on the way down, the
+    first ``count`` times; ``also_heard``: the board gets it nevertheless."""
+
+    count: int
+    also_heard: bool
+    due: int = 0
+
+    def take(self, piece, dice):  # type: ignore[no-untyped-def]
+        if self.count == 0 or not is_command(piece.data, START):
+            return (piece,)
+        self.count -= 1
+        self.due += 1
+        return (piece,) if self.also_heard else ()
+
+    @property
+    def answers(self) -> Answers:
+        return Answers(self)
+
+
+@dataclass
+class Answers:
+    """What comes down; ahead of it, the refusals that are due."""
+
+    of: Erasing
+
+    def take(self, piece, dice):  # type: ignore[no-untyped-def]
+        refusal = mavlink.MAVLink_command_ack_message(
+            START, mavlink.MAV_RESULT_TEMPORARILY_REJECTED, 0, faults.ERASING, 0, 0
+        )
+        board = mavlink.MAVLink(None, BOARD_SYSTEM, BOARD_COMPONENT)
+        refusals = [replace(piece, data=refusal.pack(board))] * self.of.due
+        self.of.due = 0
+        return (*refusals, piece)
+
+
+@pytest.mark.parametrize("also_heard", [False, True])
+def test_a_start_refused_for_erases_is_repeated(ready: Fish, also_heard: bool) -> None:
+    """Also when the refusal was of an earlier command, and the board swims by now."""
+    erasing = Erasing(2, also_heard)
+    ready.link.transport = ImpairedLine(ready.transport, [erasing], [erasing.answers])
+    warnings: list[str] = []
+
+    def listen(event: Event) -> None:
+        if isinstance(event, TrialWarning):
+            warnings.append(event.text)
+
+    outcome = run_trial(ready, on_event=listen)
+    assert outcome.end == "complete"
+    assert erasing.due == 0 and erasing.count == (1 if also_heard else 0)
+    assert sum("erases" in text for text in warnings) == 1
+    assert ready.learn().measured_beats == 8
