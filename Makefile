@@ -70,7 +70,7 @@ soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 rand
 	IMU_FUZZ_BYTES=100000000 build/unit/tests/test_imu_fuzz
 	STORE_CUT_AGES=8 STORE_CUT_PAIRS=10000 build/unit/tests/test_power_cut
 	APP_CUT_PAIRS=1000 build/unit/tests/test_app_cuts
-	FLIP_BITS=8 FLIP_LIFETIMES=20 FLIP_DAMAGE=1000 build/unit/tests/test_rollback
+	FLIP_STRIDE=1 FLIP_BITS=8 FLIP_LIFETIMES=20 FLIP_DAMAGE=1000 build/unit/tests/test_rollback
 	WEAR_TRIALS=10000 build/unit/tests/test_wear
 	for flash in nor4k nor64k; do \
 		STORE_CUT_AGES=8 STORE_CUT_PAIRS=10000 build/unit/tests/test_power_cut_$$flash && \

@@ -30,13 +30,12 @@ from .test_pulses import probe
 
 IMAGE = Path(__file__).resolve().parents[2] / "build" / "smartfusion2" / "tailbeat_smartfusion2.elf"
 BOOT_S = 30.0
-ERASE_S = 10.0  # an armed board erases what the trial will need, where its flash erases first
 
-TRIALS = 6
+TRIALS, SOAK_TRIALS = 3, 6
 BEATS, BEAT_S = 5, 0.4
 SPEED_M_S = (0.06 * np.sin(np.linspace(0.2, 2.9, BEATS))).astype(np.float32)
 # Of each trial; any will do that are the same for both.
-SPEEDS_M_S = np.random.default_rng(26).uniform(0, 0.06, (TRIALS, BEATS)).astype(np.float32)
+SPEEDS_M_S = np.random.default_rng(26).uniform(0, 0.06, (SOAK_TRIALS, BEATS)).astype(np.float32)
 SPEEDS_M_S[2, 1] = np.nan
 SIGMA_M_S = 0.001
 UPLOAD = 1  # SPD_SOURCE
@@ -65,13 +64,11 @@ def prepare(fish: Fish) -> None:
     fish.upload_reference(records.encode_reference(BEAT_S, SPEED_M_S))
 
 
-def learn_all(fish: Fish) -> list[np.ndarray]:
+def learn_all(fish: Fish, trials: int) -> list[np.ndarray]:
     """The input after each trial."""
     learned = []
-    for speed_m_s in SPEEDS_M_S:
-        fish.arm()
-        fish.link.run(ERASE_S)
-        outcome = run_trial(fish)
+    for speed_m_s in SPEEDS_M_S[:trials]:
+        outcome = run_trial(fish)  # waits until the port has erased what the trial will need
         assert outcome.end == "complete"
         fish.upload_speeds(outcome.number, speed_m_s, SIGMA_M_S)
         fish.learn(outcome.number)
@@ -79,8 +76,8 @@ def learn_all(fish: Fish) -> list[np.ndarray]:
     return learned
 
 
-@pytest.fixture(scope="module")
-def reference(image: Path) -> Session:
+@pytest.fixture(scope="module", params=[TRIALS, pytest.param(SOAK_TRIALS, marks=pytest.mark.soak)])
+def reference(image: Path, request: pytest.FixtureRequest) -> Session:
     """The session of the fish's image on the emulated board."""
     board = EmulatedBoard(image, seed=3)
     trace = probe(board)
@@ -89,7 +86,7 @@ def reference(image: Path) -> Session:
     with Fish(transport) as fish:
         fish.clock.sync()
         prepare(fish)
-        learned = learn_all(fish)
+        learned = learn_all(fish, request.param)
         board.run(1.0)
     pulses = trace.pulses()[1:]  # the pull-up before the first instruction
     assert all(pulse.ticks * SERVO_TICKS_PER_US % TICKS_PER_US == 0 for pulse in pulses)
@@ -103,14 +100,10 @@ def symbols() -> dict[str, int]:
         return {symbol.name: symbol["st_value"] for symbol in table.iter_symbols()}
 
 
-def power_on(folder: Path) -> EmcraftBoard:
-    return EmcraftBoard(IMAGE, folder)
-
-
 @pytest.fixture
 def port(tmp_path: Path) -> Iterator[EmcraftBoard]:
     assert IMAGE.is_file(), "there is no image of the port to test: make smartfusion2"
-    with power_on(tmp_path) as board:
+    with EmcraftBoard(IMAGE, tmp_path) as board:
         yield board
 
 
@@ -121,30 +114,26 @@ def greet(board: EmcraftBoard) -> Fish:
     return fish
 
 
-def test_six_trials_teach_the_port_what_they_teach_the_image(
-    reference: Session, port: EmcraftBoard
-) -> None:
+def learn_the_same(port: EmcraftBoard, reference: Session) -> None:
+    trials = len(reference.learned)
     with greet(port) as fish:
         assert fish.info().board == "emulated"
         prepare(fish)
-        learned = learn_all(fish)
+        learned = learn_all(fish, trials)
         health = fish.health()
     assert [same_bits(a, b) for a, b in zip(reference.learned, learned, strict=True)] == (
-        [True] * TRIALS
+        [True] * trials
     )
     assert not same_bits(learned[-2], learned[-1])
     frames = port.pulses()
     assert [frame.number for frame in frames] == list(range(len(frames))), "a frame is missing"
     assert [frame.width_ticks for frame in frames if frame.width_ticks] == reference.pulses_ticks
-    assert len(reference.pulses_ticks) > TRIALS * BEATS * BEAT_S / 0.02
+    assert len(reference.pulses_ticks) > trials * BEATS * BEAT_S / 0.02
     print(f"{len(reference.pulses_ticks)} pulses; longest pause {health['longest_pause_us']} us")
     assert health["late_ticks"] == health["serial_overruns"] == health["store_failures"] == 0
 
 
-def test_what_is_stored_outlives_a_crash_and_the_power(port: EmcraftBoard, tmp_path: Path) -> None:
-    with greet(port) as fish:
-        prepare(fish)
-        crc = fish.status().reference_crc
+def crash(port: EmcraftBoard) -> None:
     port.divert(symbols()["panic"], symbols()["register_names"])
     port.await_start()
     with greet(port) as fish:
@@ -153,7 +142,15 @@ def test_what_is_stored_outlives_a_crash_and_the_power(port: EmcraftBoard, tmp_p
         assert (report.kind, report.where, report.crashes) == ("assertion", "r0", 1)
         assert fish.health()["reset_cause"] == "software"
         fish.clear()
-        assert fish.status().reference_crc == crc
+
+
+def test_trials_teach_the_port_what_they_teach_the_image(
+    reference: Session, port: EmcraftBoard, tmp_path: Path
+) -> None:
+    """And it is still there after a crash and without power."""
+    learn_the_same(port, reference)
+    crash(port)
     port.__exit__(None, None, None)
-    with power_on(tmp_path) as again, greet(again) as fish:
-        assert (fish.status().reference_crc, fish.health()["reset_cause"]) == (crc, "power")
+    with EmcraftBoard(IMAGE, tmp_path) as again, greet(again) as fish:
+        assert fish.health()["reset_cause"] == "power"
+        assert same_bits(fish.amplitudes().values, reference.learned[-1])
