@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import time
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass, field
 
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
-from tailbeat.core.errors import ConnectError, LinkLostError, Refused, TailbeatError
+from tailbeat.core.errors import LinkLostError, Refused, TailbeatError
 from tailbeat.core.faults import ERASING, NOT_STILL, STALE_COMMAND
 from tailbeat.core.speed_source import Camera, SpeedSource, TrackReset, Unseen, source_info
 from tailbeat.link import _dialect as mavlink
@@ -27,6 +26,7 @@ from tailbeat.session.events import (
     TrialWarning,
 )
 from tailbeat.session.guards import Guard
+from tailbeat.session.link_recovery import restore_link
 from tailbeat.session.outcome import StopKind, StopReason, end_of
 from tailbeat.session.trial_camera import TrialCamera, camera_of
 from tailbeat.session.trial_wire import SILENCE_S, TrialWire
@@ -36,8 +36,6 @@ _POLL_S = 0.02  # of board time; a camera behind another socket does not end a w
 _SETTLE_MARGIN_S = 2.0
 _LOOK_S = 0.5
 _STALL_S = 60.0  # of board time without a new beat or state; no beat and no settling is longer
-_RETRY_S = 0.5
-_REJECTED_MAX = 6  # in one attempt; a board sends two a second, a stray one proves nothing
 _HEARTBEAT_S = 0.3  # of board time; many of them may be lost before the board stops the tail
 _REST_WAIT_S = 30.0  # of board time: the board waits so long for the fish to rest after the trial
 _STILL_WAIT_S = 60.0  # of board time, for somebody to hold the fish still before the start
@@ -411,52 +409,12 @@ def _interrupt(run: _Run) -> None:
 
 
 def _reconnect(run: _Run) -> None:
-    """Gets the link back, within bounds, and asks how things stand."""
-    link = run.fish.link
     run.emit(LinkLost())
-    deadline = link.transport.now_s() + run.reconnect_s
-    retry_s = _RETRY_S
-    while link.transport.now_s() < deadline:
-        before = _rejected_frames(run)
-        try:
-            link.reopen()
-            status = BoardStatus.of(link.request("TAILBEAT_STATUS"))
-            run.fish.clock.sync()
-        except (ConnectError, LinkLostError):
-            if _rejected_frames(run) - before >= _REJECTED_MAX:
-                raise LinkLostError(
-                    f"trial {run.number} continues without this program, because the board's"
-                    f" messages are rejected: {link.signing.why_silent()}",
-                    "The board stops by itself; look with 'tailbeat board key status' what is"
-                    " there, and connect again.",
-                ) from None
-            _pause(run, min(retry_s, max(0.0, deadline - link.transport.now_s())))
-            retry_s = min(2 * retry_s, 5.0)
-            continue
-        if run.camera is not None:
-            run.camera.fit.reset()
-        run.progress_at_s = link.transport.now_s()
-        run.emit(LinkRestored(status.state))
-        return
-    why = link.signing.why_silent()
-    raise LinkLostError(
-        f"the link broke during trial {run.number} and did not come back in"
-        f" {run.reconnect_s:.0f} s" + (f": {why}" if why else ""),
-        "The board stops by itself and keeps what was executed. Move closer to the fish, look"
-        " with 'tailbeat info', then run the same command again.",
-    )
-
-
-def _rejected_frames(run: _Run) -> int:
-    """Frames since the last one of the board's that was believed."""
-    return sum(astuple(run.fish.link.signing.refused))
-
-
-def _pause(run: _Run, duration_s: float) -> None:
-    try:
-        run.fish.link.transport.wait(duration_s)
-    except TailbeatError:
-        time.sleep(duration_s)
+    status = restore_link(run.fish, run.number, run.reconnect_s)
+    if run.camera is not None:
+        run.camera.fit.reset()
+    run.progress_at_s = run.fish.transport.now_s()
+    run.emit(LinkRestored(status.state))
 
 
 def _outcome(run: _Run) -> TrialOutcome:
