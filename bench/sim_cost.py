@@ -13,6 +13,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,16 +34,25 @@ class Load:
 FULL, TINY = Load((1, 4)), Load((1, 2))
 
 
+def counted(command: Sequence[str], *options: str) -> tuple[int, str]:
+    """Instructions of a command and what it prints."""
+    if shutil.which("valgrind") is None:
+        sys.exit("valgrind is not installed: nothing counted. `tools/bootstrap bench` installs it.")
+    callgrind = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *options]
+    run = subprocess.run([*callgrind, *command], capture_output=True, text=True, check=False)
+    instructions = COLLECTED.search(run.stderr)
+    if run.returncode != 0 or instructions is None:
+        sys.exit(f"{' '.join(command)} failed under valgrind:\n{run.stderr}")
+    return int(instructions[1]), run.stdout
+
+
 def count(trials: int, *options: str) -> tuple[int, float]:
     """Instructions of one run and the seconds it simulated."""
-    command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *options]
-    run = subprocess.run(
-        [*command, str(PROGRAM), str(trials)], capture_output=True, text=True, check=False
-    )
-    instructions, simulated = COLLECTED.search(run.stderr), SIMULATED.search(run.stdout)
-    if run.returncode != 0 or instructions is None or simulated is None:
-        sys.exit(f"{PROGRAM} {trials} failed under valgrind:\n{run.stderr}")
-    return int(instructions[1]), float(simulated[1])
+    instructions, printed = counted([str(PROGRAM), str(trials)], *options)
+    simulated = SIMULATED.search(printed)
+    if simulated is None:
+        sys.exit(f"{PROGRAM} {trials} does not say what it simulated:\n{printed}")
+    return instructions, float(simulated[1])
 
 
 def per_second(load: Load, *options: str) -> float:
@@ -53,8 +63,6 @@ def per_second(load: Load, *options: str) -> float:
 
 def main(load: Load = FULL) -> int:
     """Measures and prints."""
-    if shutil.which("valgrind") is None:
-        sys.exit("valgrind is not installed: nothing counted. `tools/bootstrap bench` installs it.")
     if not PROGRAM.exists():
         sys.exit(f"{PROGRAM} is not built. `make bench_programs` builds it.")
     cost = per_second(load)

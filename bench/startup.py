@@ -34,7 +34,7 @@ class Load:
     judged: bool
 
 
-FULL, TINY = Load(15, judged=True), Load(1, judged=False)
+FULL, TINY = Load(25, judged=True), Load(1, judged=False)
 
 
 def children_s() -> float:

@@ -32,8 +32,8 @@ PACKAGE = "tailbeat"
 # by the ledger of the thesis's claims, with those of section 8.5.2 and the bounds of its theorems,
 # all of its figures under their own numbers, and the paper made of both; by the studies of its
 # section 9.2 with a comparison of every figure with its text; by starts that wait for a flash.
-FILES_MAX = 297
-CODE_LINES_MAX = 45_480
+FILES_MAX = 298
+CODE_LINES_MAX = 45_490
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

@@ -7,22 +7,26 @@ import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tailbeat.core.csv import spreadsheet_text
 from tailbeat.core.errors import InputError, reason
-from tailbeat.core.extras import is_installed, need, remedy
+from tailbeat.core.extras import is_installed, lazy, need, remedy
 from tailbeat.core.files import write_whole
 from tailbeat.experiment.analysis import Analysis, analyse
 from tailbeat.experiment.annotated_ulog import annotate
 from tailbeat.experiment.export_tables import Table, tables_of
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.mat_file import mat_file
-from tailbeat.experiment.mcap_file import write_mcap
 from tailbeat.experiment.units import unit_of
 from tailbeat.experiment.wall_clock import starts_of
+
+if TYPE_CHECKING:
+    from tailbeat.experiment import mcap_file
+else:  # with all that films take
+    mcap_file = lazy("tailbeat.experiment.mcap_file")
 
 _ARROW = "pyarrow"
 _NEEDS_ARROW = "Writing Parquet files needs pyarrow"
@@ -153,7 +157,7 @@ def _arrow_table(table: Table) -> Any:
 
 def _mcap(experiment: Experiment, analysis: Analysis, folder: Path) -> Iterator[Path]:
     path = folder / "experiment.mcap"
-    write_mcap(experiment, analysis, path)
+    mcap_file.write_mcap(experiment, analysis, path)
     yield path
 
 

@@ -6,7 +6,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
+from typing import Annotated
 
+from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._terminal import Display, ended, json_asked
 from tailbeat.app.cli._trial_table import TrialTable
 from tailbeat.core.errors import TailbeatError
@@ -28,6 +30,7 @@ from tailbeat.session.events import (
     TrialStopped,
 )
 from tailbeat.session.outcome import BY_HAND, Decision, RecordedTrial
+from tailbeat.session.preflight_step import PreflightLimits
 from tailbeat.session.presenter import (
     alert,
     countdown_text,
@@ -43,6 +46,16 @@ COUNTS = {"c": ("keep", "it counts"), "d": ("discard", "discard")}  # of a repea
 _ENTER = ("\r", "\n")
 _ESCAPE = "\x1b"
 _ABORTED = fault_info(ABORT_COMMAND).meaning
+
+
+def _with_rest(rest_s: float) -> PreflightLimits:
+    return PreflightLimits(rest_s=rest_s)
+
+
+Rest = Annotated[
+    PreflightLimits | None,
+    opt("Rest since the last trial; default: 30.", "S", by=_with_rest, min=0.0, max=3600.0),
+]
 _FIRST_STEP = "board"  # of the preflight checks: what was typed before it is no answer
 
 

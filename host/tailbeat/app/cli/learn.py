@@ -10,14 +10,9 @@ from typing import Any, Literal
 import typer
 
 from tailbeat.app.cli._fish import Connect, connected
+from tailbeat.app.cli._kept import assessment_after, assessment_lines, pull_with_bar
 from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._options import (
-    IdentifiedFile,
-    assessment_after,
-    assessment_lines,
-    pull_with_bar,
-    warn_if_another,
-)
+from tailbeat.app.cli._options import IdentifiedFile, warn_if_another
 from tailbeat.app.cli._terminal import TRIAL_MAX, Output, lines_of, warn
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError

@@ -12,13 +12,12 @@ import typer
 from tailbeat.app.cli._camera import CameraOptions, LiveCamera, TankCameraOptions, live_camera
 from tailbeat.app.cli._fish import Connect, ConnectedFish, connected
 from tailbeat.app.cli._lazy import opt
-from tailbeat.app.cli._operator import COUNTS, KINDS, TerminalOperator, terminal
+from tailbeat.app.cli._operator import COUNTS, KINDS, Rest, TerminalOperator, terminal
 from tailbeat.app.cli._options import (
     IdentifiedFile,
     Into,
     Plot,
     ReferenceName,
-    Rest,
     Yes,
     experiment_of,
     in_no_experiment,

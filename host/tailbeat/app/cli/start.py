@@ -12,8 +12,8 @@ from typing import Any
 from tailbeat.app.cli._camera import LiveCamera, TankCameraOptions, live_camera
 from tailbeat.app.cli._fish import Connect, Stream, connected
 from tailbeat.app.cli._lazy import opt
-from tailbeat.app.cli._operator import TerminalOperator, terminal
-from tailbeat.app.cli._options import Rest, Yes, reference_names
+from tailbeat.app.cli._operator import Rest, TerminalOperator, terminal
+from tailbeat.app.cli._options import Yes, reference_names
 from tailbeat.app.cli._terminal import Output, command_typed, json_asked, lines_of, warn
 from tailbeat.app.cli.trial_run import GOOD_ENDS, experiment_for, keep_alive, series_document
 from tailbeat.board.fish import Fish

@@ -11,13 +11,9 @@ import numpy as np
 import typer
 
 from tailbeat.app.cli._fish import Connect, ConnectedFish, connected
+from tailbeat.app.cli._kept import discard_and_keep, keep_in_library, pull_with_bar
 from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._options import (
-    discard_and_keep,
-    keep_in_library,
-    pull_with_bar,
-    sound_identified,
-)
+from tailbeat.app.cli._options import sound_identified
 from tailbeat.app.cli._terminal import TRIAL_MAX, Output, lines_of, table
 from tailbeat.board.fish import Fish
 from tailbeat.core.csv import read_speeds

@@ -15,8 +15,8 @@ import typer
 from tailbeat.app.cli._camera import LiveCamera, TankCameraOptions, camera_report, live_camera
 from tailbeat.app.cli._fish import Connect, Stream, connected
 from tailbeat.app.cli._lazy import opt
-from tailbeat.app.cli._operator import TerminalOperator, terminal
-from tailbeat.app.cli._options import EXPERIMENTS, Into, Rest, verdict_lines
+from tailbeat.app.cli._operator import Rest, TerminalOperator, terminal
+from tailbeat.app.cli._options import EXPERIMENTS, Into, verdict_lines
 from tailbeat.app.cli._terminal import Output, command_typed, lines_of, pick, progress_bar, warn
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError
