@@ -211,9 +211,9 @@ def _send_start(run: _Run) -> None:
             _command_start(run)
             return
         except Refused as refused:
-            run.may_swim = False
             waited_s = (fish.transport.now_s() - begin_s) * fish.clock.rate
             if waited_s > _START_WAIT_S.get(refused.number, 0.0):
+                run.may_swim = False
                 raise
             erasing = refused.number == ERASING
         if erasing and _began_meanwhile(run):
@@ -229,7 +229,6 @@ def _began_meanwhile(run: _Run) -> bool:
     fish.link.run(_LOOK_S / max(fish.clock.rate, 1.0))
     next_trial = fish.status().next_trial
     if _swims(run):
-        run.may_swim = True
         return True
     run.number = next_trial
     return False
