@@ -31,9 +31,10 @@ PACKAGE = "tailbeat"
 # as a dry run); by one place for what differs between systems, each function of which can be faked;
 # by the ledger of the thesis's claims, with those of section 8.5.2 and the bounds of its theorems,
 # all of its figures under their own numbers, and the paper made of both; by the studies of its
-# section 9.2 with a comparison of every figure with its text; by starts that wait for a flash.
+# section 9.2 with a comparison of every figure with its text; by starts that wait for a flash,
+# and by what only some commands load.
 FILES_MAX = 298
-CODE_LINES_MAX = 45_490
+CODE_LINES_MAX = 45_500
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

@@ -15,8 +15,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from platformdirs.unix import Unix
-
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.extras import lazy
 from tailbeat.core.files import locked, plain, replace_file
@@ -26,9 +24,12 @@ from tailbeat.core.printable import Hex
 if TYPE_CHECKING:
     import hashlib
 
+    from platformdirs import unix
+
     from tailbeat.core import decode
-else:  # 20 ms that only keys need
+else:  # 25 ms that only keys need
     hashlib, decode = lazy("hashlib"), lazy("tailbeat.core.decode")
+    unix = lazy("platformdirs.unix")
 
 KEY_BYTES = 32
 _FORMAT = "tailbeat key 1"
@@ -272,7 +273,7 @@ class KeyStore:
 def _default_folder() -> Path:
     if named := os.environ.get(_FOLDER):
         return Path(named).expanduser()
-    return Unix("tailbeat").user_config_path / "keys"  # the same place on every system
+    return unix.Unix("tailbeat").user_config_path / "keys"  # the same place on every system
 
 
 def _is_file(path: Path) -> bool:

@@ -14,12 +14,18 @@ import time
 from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
-
-import serial
-from serial.tools import list_ports
+from typing import TYPE_CHECKING
 
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError, reason
+from tailbeat.core.extras import lazy
 from tailbeat.core.platform.ports import port_permission_remedy, wait_for_bytes
+
+if TYPE_CHECKING:
+    import serial
+    from serial.tools import list_ports
+else:  # not of boards that are reached by other ways
+    serial = lazy("serial")
+    list_ports = lazy("serial.tools.list_ports")
 
 
 class PortKind(Enum):
@@ -91,8 +97,6 @@ def cannot_open(path: str, error: Exception) -> ConnectError:
 
 
 def _listing() -> str:
-    from serial.tools import list_ports
-
     names = sorted(port.device for port in list_ports.comports())
     return f" (there is: {', '.join(names)})" if names else " (there is none at all)"
 
