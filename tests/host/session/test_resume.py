@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat.app.cli import _options
+from tailbeat.app.cli import _kept
 from tailbeat.app.cli._terminal import Display
 from tailbeat.app.cli.session import _operator
 from tailbeat.board import preserve
@@ -352,7 +352,7 @@ def test_a_trim_that_was_broken_off_is_put_back(
     assert swapped.status().pending_trial == 5 and swapped.status().state == "ABORTED"
     swapped.clear()
     use(swapped, experiment)
-    _options.discard_and_keep(swapped, None, False, "why not")  # is not refused, either
+    _kept.discard_and_keep(swapped, None, False, "why not")  # is not refused, either
     assert is_interrupted(swapped)
     assert experiment.journal.decisions().get(5) is None
     found = restore(swapped, experiment)
