@@ -9,12 +9,13 @@ on. Exits with 1 when a goal, which is one for this processor, is missed.
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+
+from sim_cost import counted
 
 from vboard.chip import CYCLES_PER_INSTRUCTION
 from vboard.core.bench import compile_program, run_program
@@ -23,7 +24,6 @@ PROGRAM = Path("build/bench/imu_reader_cost")
 LIBRARY = Path("build/firmware/libtailbeat_firmware.a")
 CHIP_PROGRAM = Path("bench/chip/reader.c")
 INCLUDES = (Path("firmware"), Path("bench"))
-COLLECTED = re.compile(r"Collected : (\d+)")
 BYTES = re.compile(r"bytes (\d+)")
 LONGEST_S = 5.0
 
@@ -60,14 +60,11 @@ FULL, TINY = Load(STREAMS, (10, 60)), Load(STREAMS[-1:], (1, 2))
 
 def count(mode: str, repeats: int) -> tuple[int, int]:
     """Instructions executed and bytes pushed by one run."""
-    command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null"]
-    run = subprocess.run(
-        [*command, str(PROGRAM), mode, str(repeats)], capture_output=True, text=True, check=False
-    )
-    instructions, pushed = COLLECTED.search(run.stderr), BYTES.search(run.stdout)
-    if run.returncode != 0 or instructions is None or pushed is None:
-        sys.exit(f"{PROGRAM} {mode} failed under valgrind:\n{run.stderr}")
-    return int(instructions[1]), int(pushed[1])
+    instructions, printed = counted([str(PROGRAM), mode, str(repeats)])
+    pushed = BYTES.search(printed)
+    if pushed is None:
+        sys.exit(f"{PROGRAM} {mode} does not say how many bytes it pushed:\n{printed}")
+    return instructions, int(pushed[1])
 
 
 def cost_here(stream: Stream, repeats: tuple[int, int], values: bool = False) -> float:
@@ -94,8 +91,6 @@ def cost_on_the_fish(stream: Stream, folder: Path, values: bool = False) -> floa
 
 def main(load: Load = FULL) -> int:
     """Measures and prints."""
-    if shutil.which("valgrind") is None:
-        sys.exit("valgrind is not installed: nothing counted. `tools/bootstrap bench` installs it.")
     for built in (PROGRAM, LIBRARY):
         if not built.exists():
             sys.exit(f"{built} is not built. `make bench_programs firmware` builds it.")

@@ -94,8 +94,7 @@ bool trial_finish(trial_t *trial, uint64_t now_us);
 void trial_heartbeat(trial_t *trial, hal_port_t port, uint8_t system);
 void trial_vision(trial_t *trial, const link_vision_t *sample);
 
-/* A board that swims nothing needs no battery: a voltage that is not known is
- * reported, once. */
+/* A board that swims nothing needs no battery: a voltage that is not known is reported, once. */
 void trial_report_battery(trial_t *trial, const battery_voltage_t *battery);
 
 /* Takes gait and limits from the parameters and the reference, which change in IDLE only: a swim

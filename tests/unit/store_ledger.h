@@ -30,6 +30,12 @@ typedef struct {
     ledger_object_t object[LEDGER_OBJECTS];
 } ledger_t;
 
+/* |path| "/in/aa" becomes the name of the |n|th upload: "/in/aa", "/in/ab", and so on. */
+static inline void name_upload(char path[sizeof "/in/aa"], uint32_t n) {
+    path[4] = (char)('a' + n / 26u % 26u);
+    path[5] = (char)('a' + n % 26u);
+}
+
 void ledger_init(ledger_t *ledger, store_t *store);
 void ledger_copy(ledger_t *to, const ledger_t *from, store_t *store);
 

@@ -267,13 +267,13 @@ static void test_without_camera(void) {
 static double by_thread[THREADS][FISH * BEATS];
 
 static void *swim_in_thread(void *to) {
-    const bool swum = batch_swim(configs, FISH, swims, amplitude, BEATS, 1, to, speed, sigma);
-    return swum ? to : NULL;
+    const bool done = batch_swim(configs, FISH, swims, amplitude, BEATS, 1, to, speed, sigma);
+    return done ? to : NULL;
 }
 
 static void *swim_blind_in_thread(void *to) {
-    const bool swum = batch_swim(configs, FISH, swims, amplitude, BEATS, 1, to, NULL, NULL);
-    return swum ? to : NULL;
+    const bool done = batch_swim(configs, FISH, swims, amplitude, BEATS, 1, to, NULL, NULL);
+    return done ? to : NULL;
 }
 
 /* With the longest delay there can be, and a fish that has to swim alone. */
@@ -292,9 +292,9 @@ static void test_threads_with_small_stacks(void) {
                                             by_thread[i]));
     }
     for (size_t i = 0; i < THREADS; i++) {
-        void *swum = NULL;
-        TEST_ASSERT_EQUAL(0, pthread_join(thread[i], &swum));
-        TEST_ASSERT_EQUAL_PTR(by_thread[i], swum);
+        void *result = NULL;
+        TEST_ASSERT_EQUAL(0, pthread_join(thread[i], &result));
+        TEST_ASSERT_EQUAL_PTR(by_thread[i], result);
         TEST_ASSERT_EQUAL_MEMORY(true_m_s, by_thread[i], sizeof true_m_s);
     }
     (void)pthread_attr_destroy(&small);

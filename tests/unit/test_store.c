@@ -337,12 +337,6 @@ static void test_oldest_trials_go_first_and_the_kept_one_stays(void) {
     }
 }
 
-/* "/in/aa", "/in/ab", and so on. */
-static void name_upload(char *path, uint32_t n) {
-    path[4] = (char)('a' + n / 26u % 26u);
-    path[5] = (char)('a' + n % 26u);
-}
-
 static void test_full_flash_refuses_and_keeps_the_old(void) {
     fill_random(bytes, sizeof bytes);
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/learned.bin", bytes, 4640));

@@ -145,8 +145,7 @@ static void test_nothing_in_littlefs_points_to_the_raw_blocks(void) {
     char path[] = "/in/aa";
     store_result_t result = STORE_OK;
     for (uint32_t n = 0; result == STORE_OK; n++) {
-        path[4] = (char)('a' + n / 26u);
-        path[5] = (char)('a' + n % 26u);
+        name_upload(path, n);
         for (uint32_t i = 0; result == STORE_OK && i < 4u; i++) {
             memset(piece, (int)i, sizeof piece);
             result = store_replace(&app.vault.store, path, piece, sizeof piece);

@@ -174,8 +174,8 @@ def test_a_trial_over_a_cut_goes_on(ready: Fish) -> None:
 
 @dataclass
 class Erasing:
-    """Two faults of one line: a START that goes up is refused with ERASING on the way down, the
-    first ``count`` times; ``also_heard``: the board gets it nevertheless."""
+    """Refuses the first ``count`` STARTs that go up, by ``Refusals`` on the way down;
+    ``also_heard``: the board gets them nevertheless."""
 
     count: int
     also_heard: bool
@@ -188,13 +188,9 @@ class Erasing:
         self.due += 1
         return (piece,) if self.also_heard else ()
 
-    @property
-    def answers(self) -> Answers:
-        return Answers(self)
-
 
 @dataclass
-class Answers:
+class Refusals:
     """What comes down; ahead of it, the refusals that are due."""
 
     of: Erasing
@@ -213,7 +209,7 @@ class Answers:
 def test_a_start_refused_for_erases_is_repeated(ready: Fish, also_heard: bool) -> None:
     """Also when the refusal was of an earlier command, and the board swims by now."""
     erasing = Erasing(2, also_heard)
-    ready.link.transport = ImpairedLine(ready.transport, [erasing], [erasing.answers])
+    ready.link.transport = ImpairedLine(ready.transport, [erasing], [Refusals(erasing)])
     warnings: list[str] = []
 
     def listen(event: Event) -> None:

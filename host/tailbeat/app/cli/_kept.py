@@ -68,7 +68,7 @@ def assessment_after(
     fish: Fish, number: int, rolled_back: bool, kept: Path | None = None
 ) -> Assessment | None:
     """Assesses the trial by what the library has; fetches it unless it is ``kept`` there already.
-    None without a library, or when the trial cannot be had (reported on stderr): the board has
+    None without a library, or when the trial cannot be fetched (reported on stderr): the board has
     learned all the same."""
     found = None
     with _reported(f"no assessment of trial {number}"):
