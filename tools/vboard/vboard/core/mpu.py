@@ -44,6 +44,8 @@ class Mpu:
     ) -> None:
         self._protect, self._spans, self._changed = protect, spans, changed
         self._restricted: dict[int, tuple[int, int]] = {}
+        # What is restricted, by all registers: the tick goes to and fro between two settings.
+        self._known: dict[tuple[int, ...], dict[int, tuple[int, int]]] = {}
         self.control = 0
         self.reset()
 
@@ -93,8 +95,10 @@ class Mpu:
         """MPU_RBAR; VALID selects the region too."""
         if value & 0x10:
             self.select(value & 0xF)
-        self.base[self.number] = value & ~0x1F
-        self._changed()
+        base = value & ~0x1F
+        if base != self.base[self.number]:  # the tick names its region at every turn
+            self.base[self.number] = base
+            self._changed()
 
     def read_base(self) -> int:
         """MPU_RBAR."""
@@ -145,7 +149,10 @@ class Mpu:
 
     def apply(self) -> None:
         """Restricts the pages in which something may be refused; frees the others."""
-        wanted = dict(self._wanted()) if self.control & CTRL_ENABLE else {}
+        now = (self.control, *self.base, *self.attributes)
+        if now not in self._known:
+            self._known[now] = dict(self._wanted()) if self.control & CTRL_ENABLE else {}
+        wanted = self._known[now]
         for page, (full, _) in self._restricted.items():
             if page not in wanted:
                 self._protect(page, PAGE, full)
