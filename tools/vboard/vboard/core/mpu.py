@@ -44,7 +44,7 @@ class Mpu:
     ) -> None:
         self._protect, self._spans, self._changed = protect, spans, changed
         self._restricted: dict[int, tuple[int, int]] = {}
-        # What is restricted, by all registers: the tick goes to and fro between two settings.
+        # What is restricted, by all registers: the tick goes back and forth between two settings.
         self._known: dict[tuple[int, ...], dict[int, tuple[int, int]]] = {}
         self.control = 0
         self.reset()
