@@ -49,6 +49,15 @@ static const uint32_t crc32_byte[4][256] = {
 const uint16_t crc_mcrf4xx_byte[256] = {
     XOR8(0, 0x1189, 0x2312, 0x4624, 0x8C48, 0x1081, 0x2102, 0x4204, 0x8408)};
 
+uint16_t crc_mcrf4xx_update(uint16_t crc, const void *bytes, size_t length) {
+    const uint8_t *next = bytes;
+    unsigned sum = crc;
+    for (; length > 0; length--, next++) {
+        sum = sum >> 8 ^ crc_mcrf4xx_byte[(sum ^ *next) & 0xFFu];
+    }
+    return (uint16_t)sum;
+}
+
 uint32_t crc32_update(uint32_t crc, const void *bytes, size_t length) {
     const uint8_t *next = bytes;
     for (; length >= 4; length -= 4, next += 4) {

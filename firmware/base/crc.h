@@ -18,6 +18,9 @@ uint16_t crc16_update(uint16_t crc, const void *bytes, size_t length);
 /* The change of MAVLink's CRC-16/MCRF4XX by a byte; not on the board, whose flash is short. */
 #define CRC_MCRF4XX_TABLE
 extern const uint16_t crc_mcrf4xx_byte[256];
+
+/* CRC-16/MCRF4XX, of a MAVLink frame. Start with |crc| = 0xFFFF; "123456789" gives 0x6F91. */
+uint16_t crc_mcrf4xx_update(uint16_t crc, const void *bytes, size_t length);
 #endif
 
 #endif

@@ -58,6 +58,7 @@ static void test_crc16_has_the_xmodem_value(void) {
 static void test_mavlinks_sum_has_its_value(void) {
     TEST_ASSERT_EQUAL_HEX16(0x6F91u, crc_calculate((const uint8_t *)TEXT, 9));
 #ifdef CRC_MCRF4XX_TABLE
+    TEST_ASSERT_EQUAL_HEX16(0x6F91u, crc_mcrf4xx_update(0xFFFFu, TEXT, 9));
     for (unsigned byte = 0; byte < 256; byte++) {
         unsigned sum = byte;
         for (unsigned bit = 0; bit < 8; bit++) {

@@ -6,16 +6,15 @@ import math
 from collections.abc import Generator, Iterator
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tailbeat.board.connect import open_transport, require_board
 from tailbeat.board.memory import BoardMemory
 from tailbeat.core.errors import Refused
+from tailbeat.core.extras import lazy
 from tailbeat.core.faults import IMU_STARTING, NO_TRIAL, WRONG_STATE, refusal
 from tailbeat.core.lazy_arrays import F64, np
 from tailbeat.core.records import decode_reference
-from tailbeat.core.reference import Reference
-from tailbeat.core.speed_source import PARAMETER as SPEED_SOURCE_PARAMETER
-from tailbeat.core.speed_source import SpeedSource, source_info
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link import messages
 from tailbeat.link.mavlink import Link, Message
@@ -33,12 +32,20 @@ from tailbeat.link.timesync import BoardClock
 from tailbeat.link.transport import Transport
 from tailbeat.sim.board import SimulatedBoard, in_process
 
+if TYPE_CHECKING:
+    from tailbeat.core import reference, speed_source
+    from tailbeat.core.reference import Reference
+    from tailbeat.core.speed_source import SpeedSource
+else:  # of few methods
+    reference = lazy("tailbeat.core.reference")
+    speed_source = lazy("tailbeat.core.speed_source")
+
 
 @cache
 def rest() -> Reference:
     """A board cannot lose its reference again. After an identification on one that had none a beat
     at rest stands for none: no run's input may be executed again."""
-    return Reference(1.0, np.zeros(1, np.float32), "rest")
+    return reference.Reference(1.0, np.zeros(1, np.float32), "rest")
 
 
 REST_CRC = 0xECBE1397  # of that
@@ -52,7 +59,7 @@ def board_reference(fish: Fish) -> Reference | None:
     held = decode_reference(record)
     if not np.any(held.speed_m_s):
         return None
-    return Reference(held.beat_s, held.speed_m_s, f"{held.crc:08x}")
+    return reference.Reference(held.beat_s, held.speed_m_s, f"{held.crc:08x}")
 
 
 LEARN_TIMEOUT_S = 2.0  # a learning step ends with a flash write
@@ -204,7 +211,7 @@ class Fish(BoardMemory):
 
     def speed_source(self) -> SpeedSource:
         """Where the board takes the speed of a beat from."""
-        return source_info(round(self.params.get(SPEED_SOURCE_PARAMETER).value))
+        return speed_source.source_info(round(self.params.get(speed_source.PARAMETER).value))
 
     def imu_frames(self, duration_s: float = math.inf) -> Generator[ImuFrame, None, None]:
         """Stream the IMU's raw frames as they come.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tailbeat.core import records
 from tailbeat.core.errors import InputError, Refused, TransferError
@@ -11,12 +12,14 @@ from tailbeat.core.faults import BAD_DATA, BAD_FILE, NO_REFERENCE, refusal
 from tailbeat.core.lazy_arrays import F32, ArrayLike, NDArray, np
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.records import Amplitudes
-from tailbeat.core.reference import Reference
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.ftp.client import FtpClient
 from tailbeat.link.ftp.wire import FtpError, Progress
 from tailbeat.link.mavlink import Link, Message
 from tailbeat.link.messages import BoardStatus, TrialFile
+
+if TYPE_CHECKING:
+    from tailbeat.core.reference import Reference
 
 TRIALS = "/trials"
 _FTP_NOT_FOUND = 10
