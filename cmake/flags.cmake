@@ -32,7 +32,7 @@ endif()
 if(NOT (TAILBEAT_BARE_METAL OR TAILBEAT_TESTS OR TAILBEAT_SANITIZE OR TAILBEAT_COVERAGE))
   set(CMAKE_C_FLAGS_RELEASE "-O3 -fno-math-errno") # nobody reads errno: a square root is one instruction
   include(CheckIPOSupported)
-  check_ipo_supported(RESULT CMAKE_INTERPROCEDURAL_OPTIMIZATION OUTPUT ipo_missing LANGUAGES C)
+  check_ipo_supported(RESULT CMAKE_INTERPROCEDURAL_OPTIMIZATION_RELEASE OUTPUT ipo_missing LANGUAGES C)
   # Calls that are inlined across files let gcc think of paths that no caller takes.
   add_link_options($<$<C_COMPILER_ID:GNU>:-Wno-stringop-overread>)
 endif()

@@ -75,6 +75,7 @@ def carry(root: Path, carried: Path, scratch: Path) -> None:
     """Puts everything into ``carried`` that a build in the repository generates or fetches."""
     cmake = ["cmake", "-S", str(root / "host"), "-B", str(scratch)]
     fetched = scratch / "fetched"
+    copy(root / "build" / "deps", fetched / "deps")  # what is there is checked by its hash
     settings = {"Python_EXECUTABLE": sys.executable, "TAILBEAT_FETCHED_DIR": fetched}
     settings |= {"TAILBEAT_SELFTEST": "ON"}
     run(*cmake, *(f"-D{name}={value}" for name, value in settings.items()))

@@ -122,6 +122,19 @@ def drop_build_dates(headers: Path) -> None:
         path.write_text(re.sub(r'(MAVLINK_BUILD_DATE) ".*"', r'\1 ""', text))
 
 
+def leave_out_foreign(headers: Path) -> None:
+    """Takes messages that neither board nor host know out of what the headers include: four fifths
+    of what a file of the link compiled. Frames of any message are still checked and refused."""
+    for path in headers.glob("*/*.h"):
+        lines = path.read_text().splitlines(keepends=True)
+        path.write_text("".join(line for line in lines if not _includes_foreign(line)))
+
+
+def _includes_foreign(line: str) -> bool:
+    found = re.fullmatch(r'#include "\./mavlink_msg_(\w+)\.h"\n', line)
+    return found is not None and _is_foreign(f"MAVLink_{found[1]}_message")
+
+
 def lighten(module: Path) -> None:
     """Takes out what every start of the host tool would make and nobody asks for: what the module
     says of the values of other dialects' enums (the values stay), and the messages that neither
@@ -182,6 +195,7 @@ def generate(inputs: dict[str, Path], into: Path) -> None:
         shutil.copyfile(path, work / "xml" / name)
     mavgen("C", work / "mavlink", work / "xml" / "tailbeat.xml")
     drop_build_dates(work / "mavlink")
+    leave_out_foreign(work / "mavlink")
     mavgen("Python3", work / "tailbeat_dialect.py", work / "xml" / "tailbeat.xml")
     lighten(work / "tailbeat_dialect.py")
     for name in ("xml", "mavlink"):

@@ -33,16 +33,15 @@ from tailbeat.link.transport import Transport
 from tailbeat.sim.board import SimulatedBoard, in_process
 
 if TYPE_CHECKING:
-    from tailbeat.core import reference, speed_source
-    from tailbeat.core.reference import Reference
-    from tailbeat.core.speed_source import SpeedSource
+    from tailbeat.core import reference
+    from tailbeat.core import speed_source as sources
 else:  # of few methods
     reference = lazy("tailbeat.core.reference")
-    speed_source = lazy("tailbeat.core.speed_source")
+    sources = lazy("tailbeat.core.speed_source")
 
 
 @cache
-def rest() -> Reference:
+def rest() -> reference.Reference:
     """A board cannot lose its reference again. After an identification on one that had none a beat
     at rest stands for none: no run's input may be executed again."""
     return reference.Reference(1.0, np.zeros(1, np.float32), "rest")
@@ -51,7 +50,7 @@ def rest() -> Reference:
 REST_CRC = 0xECBE1397  # of that
 
 
-def board_reference(fish: Fish) -> Reference | None:
+def board_reference(fish: Fish) -> reference.Reference | None:
     """None when it has none, or one that is zero throughout."""
     record = fish.reference_record()
     if record is None:
@@ -209,9 +208,9 @@ class Fish(BoardMemory):
             self.link.command(mavlink.TAILBEAT_CMD_IMU_ROW, number, *map(float, row))
         self.imu_save()
 
-    def speed_source(self) -> SpeedSource:
+    def speed_source(self) -> sources.SpeedSource:
         """Where the board takes the speed of a beat from."""
-        return speed_source.source_info(round(self.params.get(speed_source.PARAMETER).value))
+        return sources.source_info(round(self.params.get(sources.PARAMETER).value))
 
     def imu_frames(self, duration_s: float = math.inf) -> Generator[ImuFrame, None, None]:
         """Stream the IMU's raw frames as they come.
