@@ -39,6 +39,7 @@
 #include "supervisor/stop_rules.h"
 #include "supervisor/supervisor.h"
 #include "trial_wire.h"
+#include "way_filter.h"
 
 /* As in link/link.h, which needs the generated dialect and is not bound. */
 const char *link_build_id(void);

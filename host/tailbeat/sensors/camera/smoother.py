@@ -26,11 +26,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
+from tailbeat.core.native import ffi, lib
 
 CORRELATION_BEATS = 4.0
 STATES = 8
@@ -124,32 +127,35 @@ class Smoothed:
 def forward(t_s: F64, way: F64, beat_s: float, by: Models, keep: bool) -> Forward:
     """Filters nodes at rising ``t_s``, shape (nodes,); ``way`` NaN = nothing seen there."""
     lengths, which = np.unique(np.rint(np.diff(t_s) * 1e6), return_inverse=True)
-    moves, noises = steps(lengths * 1e-6, beat_s, by)
-    back = np.ascontiguousarray(moves.transpose(0, 1, 3, 2))
+    moves, noises = (one.swapaxes(0, 1).copy() for one in steps(lengths * 1e-6, beat_s, by))
     mean, cov = prior(beat_s, by, float(way[np.isfinite(way)][0]))
-    chi2, log_variance, count = np.zeros(len(by.jerk)), np.zeros(len(by.jerk)), 0
-    nodes: list[tuple[F64, ...]] = []
-    for k in range(len(t_s)):
-        if k:
-            at = which[k - 1]
-            mean = (moves[at] @ mean[:, :, None])[:, :, 0]
-            cov = moves[at] @ cov @ back[at] + noises[at]
-        predicted = mean, cov
-        if np.isfinite(way[k]):
-            across = cov @ SEEN_AS
-            variance = across @ SEEN_AS + 1.0
-            missed = way[k] - mean @ SEEN_AS
-            gain = across / variance[:, None]
-            mean = mean + gain * missed[:, None]
-            cov = cov - gain[:, :, None] * across[:, None, :]
-            if count:  # the first only says where the way begins
-                chi2 += missed**2 / variance
-                log_variance += np.log(variance)
-            count += 1
-        if keep:
-            nodes.append(tuple(part[0] for part in (*predicted, mean, cov)))
-    kept = tuple(map(np.array, zip(*nodes, strict=True)))
-    return Forward(chi2, log_variance, count - 1, kept, moves[which, 0] if keep else moves[:0, 0])
+    kept = np.empty((len(t_s) if keep else 0, 2, STATES + STATES**2))
+    nodes = np.ascontiguousarray(way), which.astype(np.int64), kept
+    done = [_filtered(*nodes, *one) for one in zip(mean, cov, moves, noises, strict=True)]
+    means, covs = kept[:, :, :STATES], kept[:, :, STATES:].reshape(-1, 2, STATES, STATES)
+    return Forward(
+        chi2=np.array([one.chi2 for one in done]),
+        log_variance=np.array([one.log_variance for one in done]),
+        count=done[0].seen - 1,  # the first only says where the way begins
+        nodes=(means[:, 0], covs[:, 0], means[:, 1], covs[:, 1]),
+        moves=moves[0, which] if keep else moves[0, :0],
+    )
+
+
+def _filtered(
+    way: F64, which: NDArray[np.int64], kept: F64, mean: F64, cov: F64, moves: F64, noises: F64
+) -> Any:
+    """The way_filter_t of one model after all nodes (host/native/way_filter.h)."""
+    done = ffi.new("way_filter_t *", (mean.tolist(), cov.ravel().tolist()))
+    lib.way_filter_run(
+        done, _doubles(way), len(way), _doubles(SEEN_AS), _doubles(moves), _doubles(noises),
+        ffi.from_buffer("int64_t[]", which), _doubles(kept) if len(kept) else ffi.NULL,
+    )  # fmt: skip
+    return done
+
+
+def _doubles(array: F64) -> object:
+    return ffi.from_buffer("double[]", array)
 
 
 def smooth(done: Forward) -> Smoothed:
