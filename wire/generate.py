@@ -123,8 +123,8 @@ def drop_build_dates(headers: Path) -> None:
 
 
 def leave_out_foreign(headers: Path) -> None:
-    """Takes messages that neither board nor host know out of what the headers include: four fifths
-    of what a file of the link compiled. Frames of any message are still checked and refused."""
+    """Takes messages that neither board nor host know out of what the headers include, which was
+    three quarters of it. Frames of any message are still checked and refused."""
     for path in headers.glob("*/*.h"):
         lines = path.read_text().splitlines(keepends=True)
         path.write_text("".join(line for line in lines if not _includes_foreign(line)))

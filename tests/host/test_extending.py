@@ -81,7 +81,7 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def build(root: Path) -> None:
     """The native library of the copy, beside its sources: where the installed package has it."""
     configure = ["cmake", "-S", ".", "-B", "build/native", "-G", "Ninja", "--log-level=WARNING"]
-    options = ["-DCMAKE_BUILD_TYPE=None", "-DTAILBEAT_TESTS=OFF"]
+    options = ["-DCMAKE_BUILD_TYPE=None", "-DTAILBEAT_TESTS=OFF"]  # compiling takes longest
     options += [f"-DPython_EXECUTABLE={sys.executable}", f"-DTAILBEAT_FETCHED_DIR={ROOT / 'build'}"]
     for command in ([*configure, *options], ["ninja", "-C", "build/native", "tailbeat_native"]):
         subprocess.run(command, cwd=root, check=True, stdout=subprocess.DEVNULL)

@@ -24,12 +24,10 @@ from tailbeat.core.printable import Hex
 if TYPE_CHECKING:
     import hashlib
 
-    from platformdirs import unix
-
     from tailbeat.core import decode
 else:  # 25 ms that only keys need
     hashlib, decode = lazy("hashlib"), lazy("tailbeat.core.decode")
-    unix = lazy("platformdirs.unix")
+unix = lazy("platformdirs.unix")
 
 KEY_BYTES = 32
 _FORMAT = "tailbeat key 1"
@@ -273,7 +271,7 @@ class KeyStore:
 def _default_folder() -> Path:
     if named := os.environ.get(_FOLDER):
         return Path(named).expanduser()
-    return unix.Unix("tailbeat").user_config_path / "keys"  # the same place on every system
+    return Path(unix.Unix("tailbeat").user_config_path, "keys")  # the same place on every system
 
 
 def _is_file(path: Path) -> bool:

@@ -22,10 +22,9 @@ from tailbeat.core.platform.ports import port_permission_remedy, wait_for_bytes
 
 if TYPE_CHECKING:
     import serial
-    from serial.tools import list_ports
 else:  # not of boards that are reached by other ways
     serial = lazy("serial")
-    list_ports = lazy("serial.tools.list_ports")
+list_ports = lazy("serial.tools.list_ports")
 
 
 class PortKind(Enum):

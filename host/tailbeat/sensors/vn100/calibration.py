@@ -12,7 +12,6 @@ about the last estimate, a few times, with priors that are wider than any data s
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -147,19 +146,14 @@ class Recording:
             self.period_s += (apart_s - self.period_s) / max(min(len(self.rate), 200), 1)
             for k in range(1, missing + 1):
                 part, before = k / (missing + 1), -k  # the last one that came
-                self._keep(
-                    self.rate[before] + part * (rate - self.rate[before]),
-                    self.accel[before] + part * (accel - self.accel[before]),
-                )
-        self._keep(rate, accel)
+                self.rate.append(self.rate[before] + part * (rate - self.rate[before]))
+                self.accel.append(self.accel[before] + part * (accel - self.accel[before]))
+        self.rate.append(rate)
+        self.accel.append(accel)
         self._last = frame
         if not self.period_s or (len(self.rate) - self._block) * self.period_s < _BLOCK_S:
             return False
         return self._end_block()
-
-    def _keep(self, rate: F64, accel: F64) -> None:
-        self.rate.append(rate)
-        self.accel.append(accel)
 
     def _forget(self) -> None:
         """Nobody knows how it was turned meanwhile: what was before is of no use for what comes."""
@@ -210,7 +204,7 @@ def recorded(frames: Iterable[ImuFrame]) -> Recording:
 
 def calibrate(recording: Recording) -> ImuCalibration:
     """What the rests and the turns between them tell. Raises InputError with what is missing. Costs
-    about 0.05 s per minute of frames."""
+    about 0.03 s per minute of frames."""
     rests = recording.rests
     if len(rests) < _RESTS_MIN:
         raise InputError(
@@ -280,16 +274,11 @@ def _matrices(unknown: F64) -> tuple[F64, F64]:
     return rate, accel
 
 
-def _crossed(v: F64) -> F64:
-    """The matrix of the product v x ..."""
-    return np.cross(v, np.eye(3)).T
-
-
 def _path(steps: F64) -> F64:
     """What comes of the first 0, 1, ... n steps one after the other, shape (n + 1, 3, 3). In blocks
-    that go on side by side: a product for each step took two thirds of a calibration."""
+    that go on side by side: one step at a time took two fifths of a calibration."""
     n = len(steps)
-    side = math.isqrt(max(n - 1, 0)) + 1
+    side = int(np.ceil(np.sqrt(n)))
     path = np.tile(np.eye(3), (side * side, 1, 1))
     path[:n] = steps
     blocks = path.reshape(side, side, 3, 3)
@@ -332,7 +321,7 @@ class _Turns:
         for i, told in enumerate(self.turns):
             end, by_rate = self._turned(told, unknown, rate)
             before, slope = end.T @ force[i], np.zeros((3, _UNKNOWN))
-            slope[:, _RATE.start : _RATE_BIAS.stop] = -_crossed(before) @ by_rate
+            slope[:, _RATE.start : _RATE_BIAS.stop] = np.cross(by_rate, before, axisa=0, axisc=0)
             slope += by_accel[i + 1] - end.T @ by_accel[i]
             rows.append((force[i + 1] - before) / _DOWN_M_S2)
             slopes.append(slope / _DOWN_M_S2)
