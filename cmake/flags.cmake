@@ -6,7 +6,7 @@ target_compile_options(tailbeat_common INTERFACE -ffp-contract=off -fno-semantic
   -fmacro-prefix-map=${PROJECT_SOURCE_DIR}/= -fmacro-prefix-map=${PROJECT_SOURCE_DIR}/firmware/=)
 if(TAILBEAT_SANITIZE)
   target_compile_options(tailbeat_common INTERFACE
-    -g -O1 -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all)
+    -g1 -O1 -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all)
   target_link_options(tailbeat_common INTERFACE -fsanitize=address,undefined)
 endif()
 

@@ -3,7 +3,9 @@
 The speeds of all compared trials, less those expected, are weighed at once. An explanation says
 how they vary together, which gives them a density; sizes that nobody knows beforehand are tried on
 a grid. What comes again at the same amplitudes is the model's fault, what each trial has alone is
-the water's, one gain and one flow from some trial on are the fish's.
+the water's, one gain and one flow from some trial on are the fish's. How much trials differ as a
+whole and how much the water moves within them are two sizes: a fish that swims alike in moving
+water shows a change of its gain that one of the same error, placed carelessly, does not.
 """
 
 from __future__ import annotations
@@ -11,10 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.parallel import one_thread
@@ -32,13 +34,20 @@ from tailbeat.learning.slopes import speed_and_slopes
 
 Kind = Literal["changed", "misfit", "disturbed"]
 
-# How likely what each trial has alone, and what the model misses, is so many times the expected.
-_OWN = {0.12: 0.1, 0.2: 0.12, 0.35: 0.18, 0.6: 0.2, 1.0: 0.15, 1.5: 0.1, 2.2: 0.07, 3.5: 0.05,
-        6.0: 0.03}  # fmt: skip
-_MISSED = {0.2: 0.1, 0.35: 0.1, 0.6: 0.3, 1.0: 0.3, 1.5: 0.08, 2.5: 0.06, 5.0: 0.06}
-_DISTURBED, _MISFIT = 2.0, 1.5  # times the expected, from which on it is called so
-# Likewise of everything else that may be so; of a change or a spoilt trial, any trial alike.
-_USUAL, _OTHER, _MAP, _SPOILT, _CHANGED = 0.6, 0.05, 0.05, 0.08, 0.22
+# Times the expected: what the model misses, what moves within a trial, what whole trials differ by.
+_MISSED = np.array([0.2, 0.35, 0.6, 1.0, 1.5, 2.5, 5.0])
+_MOVES = np.array([0.4, 0.7, 1.0, 1.4, 1.9, 2.6, 3.6, 6.0])
+_DIFFER = np.array([0.2, 0.4, 0.7, 1.1, 1.7, 2.6, 4.2])
+_MISSED_CHANCE = np.array([0.1, 0.1, 0.3, 0.3, 0.08, 0.06, 0.06])
+_MISFIT = 1.5  # times the expected, from which on it is called so
+# Likewise of what a trial has alone: of both sizes, or of what whole trials differ by. Few trials
+# tell little of that: together it counts less.
+_DISTURBED, _DIFFER_POWER, _DIFFERENT = 1.9, 0.3, 2.5
+_BOTH = np.multiply.outer(_MOVES, _DIFFER**_DIFFER_POWER)
+_SHAKEN = (_BOTH >= _DISTURBED) | (_DIFFER >= _DIFFERENT)
+# How likely everything else is, in parts; of a change or a spoilt trial, any trial alike.
+_USUAL, _OTHER, _MAP, _SPOILT, _CHANGED = 0.6, 0.05, 0.05, 0.08, 0.4
+_WALK = 0.004  # of the log gain, from trial to trial
 _AGREE = 2  # so many trials tell a change from a spoilt one
 # Another map from amplitude to thrust: a smooth curve with this standard deviation and reach.
 _MAP_PART, _MAP_REACH_RAD = 0.1, 0.15
@@ -79,25 +88,22 @@ def departures(
     Returns
     -------
     dict
-        Every kind with its probability; more than one may be so. Costs 30 ms for three trials of
-        40 beats, 0.1 s for six.
+        Every kind with its probability; more than one may be so. Costs 25 ms for three trials of
+        40 beats, 80 ms for six.
     """
     with one_thread():  # more spend most of their time waiting for each other: 10 times as much
         stack = _Stack(before, trials)
-        rows = list(_weighed(stack, list(_explanations(stack))))
-        likely = np.exp(np.array([row.log_chance for row in rows]))
-        likely /= likely.sum()
-        return {kind: _departure(kind, stack, rows, likely, wanted_m_s) for kind in _SAYS}
-
-
-def _departure(
-    kind: Kind, stack: _Stack, rows: Sequence[_Row], likely: F64, wanted_m_s: F64
-) -> Departure:
-    chances = np.array([_SAYS[kind](row) for row in rows]) * likely
-    row = rows[int(np.argmax(chances))]
-    parts = _parts(stack, row)
-    effect, best = _EFFECT[kind](stack, parts), _best(stack, parts, wanted_m_s)
-    return Departure(kind, float(chances.sum()), effect, row.explanation.since, best)
+        explanations = list(_explanations(stack))
+        likely = _weighed(stack, explanations)
+        found: dict[Kind, Departure] = {}
+        for kind, says in _SAYS.items():
+            chances = likely * says(explanations)
+            *sizes, which = np.unravel_index(int(np.argmax(chances)), chances.shape)
+            one = explanations[int(which)]
+            parts = _parts(stack, one, *map(int, sizes))
+            effect, best = _EFFECT[kind](stack, parts), _best(stack, parts, wanted_m_s)
+            found[kind] = Departure(kind, float(chances.sum()), effect, one.since, best)
+        return found
 
 
 class _Stack:
@@ -119,28 +125,32 @@ class _Stack:
         """Covariance of what the numbers, the day and the measurement do."""
         numbers, gain = self.slopes[:, :_COUNT], self.slopes[:, _GAIN]
         sigma = np.concatenate([one.sigma_m_s for one in self.trials])[self._seen]
-        found: F64 = numbers @ self.before.covariance @ numbers.T + np.diag(sigma**2)
-        found += self.before.level()[1] * np.outer(gain, gain)
-        return found
+        walk = self.before.level()[1] + _WALK**2 * np.minimum.outer(self.trial, self.trial)
+        day = walk * np.outer(gain, gain)
+        return np.asarray(numbers @ self.before.covariance @ numbers.T + day + np.diag(sigma**2))
 
     @cached_property
-    def own(self) -> F64:
-        """Covariance of what each trial has alone."""
+    def differ(self) -> F64:
+        """What one standard deviation of what whole trials differ by does, (beats, 3 x trials)."""
+        scatter = self.before.scatter
+        sigma = [STD_ABS * scatter.start_m_s, scatter.flow_m_s, scatter.gain]
+        shared = self.slopes[:, _COUNT:] * sigma
+        return np.hstack([shared * (self.trial == at)[:, None] for at in range(len(self.trials))])
+
+    @cached_property
+    def moving(self) -> F64:
+        """Covariance of what moves within each trial, and of each beat alone."""
         scatter, one = self.before.scatter, self.trials[0]
-        differ = [STD_ABS * scatter.start_m_s, scatter.flow_m_s, scatter.gain]
-        shared = self.slopes[:, _COUNT:] * differ
         moving = scatter.moving(one.beats, one.beat_s)[np.ix_(self.beat, self.beat)]
         same = np.equal.outer(self.trial, self.trial)
-        alone = np.diag(np.full(len(same), scatter.model_m_s**2))
-        found: F64 = same * (shared @ shared.T + moving) + alone
+        found: F64 = same * moving + np.diag(np.full(len(same), scatter.model_m_s**2))
         return found
 
     @cached_property
     def missed(self) -> F64:
         """Covariance of what the model leaves out and comes again."""
         every = self.before.left_out([one.amplitude_rad for one in self.trials])
-        found: F64 = every[np.ix_(self._seen, self._seen)]
-        return found
+        return np.asarray(every[np.ix_(self._seen, self._seen)])
 
     @cached_property
     def map(self) -> F64:
@@ -188,125 +198,113 @@ def _explanations(stack: _Stack) -> Iterator[_Explanation]:
         yield _Explanation("changed", _CHANGED / (count - _AGREE), changed, since)
 
 
-@dataclass(frozen=True)
-class _Row:
-    """An explanation with sizes, as times the expected."""
-
-    own: float
-    missed: float
-    explanation: _Explanation
-    log_chance: float
-
-
-def _weighed(stack: _Stack, explanations: Sequence[_Explanation]) -> Iterator[_Row]:
-    """With the likeliest at 0."""
-    found = []
-    for own, missed in product(_OWN, _MISSED):
-        prior = np.log(_OWN[own] * _MISSED[missed])
-        logs = _log_densities(_covariance(stack, own, missed), stack.miss_m_s, explanations)
-        rows = zip(explanations, logs, strict=True)
-        found += [(own, missed, one, prior + np.log(one.chance) + log) for one, log in rows]
-    most = max(row[-1] for row in found)
-    return (_Row(own, missed, one, float(log - most)) for own, missed, one, log in found)
+def _weighed(stack: _Stack, explanations: Sequence[_Explanation]) -> F64:
+    """Probability of sizes and explanation, (missed, moves, differ, explanations)."""
+    every = [stack.differ, stack.miss_m_s[:, None], *(one.directions for one in explanations)]
+    target = np.hstack(every)
+    white = [_whitened(stack, missed, moves, target) for missed in _MISSED for moves in _MOVES]
+    products = np.reshape([one for one, _ in white], (len(_MISSED), -1, 1, *white[0][0].shape))
+    log_det = np.reshape([one for _, one in white], (len(_MISSED), -1, 1, 1))
+    left, more = _with_differing(products, stack.differ.shape[1])
+    found = _log_densities(left, explanations) - 0.5 * (log_det + more[..., None])
+    found += np.log([one.chance for one in explanations])
+    found += np.log(np.multiply.outer(_MISSED_CHANCE, _SIZES_CHANCE))[..., None]
+    likely = np.exp(found - found.max())
+    return np.asarray(likely / likely.sum())
 
 
-def _covariance(stack: _Stack, own: float, missed: float) -> F64:
-    found: F64 = stack.known + own**2 * stack.own + missed**2 * stack.missed
-    return found
+def _lognormal(sizes: F64, around: float, spread: float) -> F64:
+    return np.asarray(np.exp(-0.5 * (np.log(sizes / around) / spread) ** 2))
 
 
-def _log_densities(
-    covariance: F64, miss_m_s: F64, explanations: Sequence[_Explanation]
-) -> Iterator[float]:
-    """Of each explanation, by one factorization of what is usual: directions are few."""
+_SIZES_CHANCE = np.multiply.outer(_lognormal(_MOVES, 1.0, 0.7), _lognormal(_DIFFER, 0.8, 0.6))
+
+
+def _whitened(stack: _Stack, missed: float, moves: float, target: F64) -> tuple[F64, float]:
+    """(products of the columns in units of the covariance, log of its determinant)."""
     from scipy.linalg import solve_triangular
 
+    covariance = stack.known + moves**2 * stack.moving + missed**2 * stack.missed
     root = np.linalg.cholesky(covariance)
-    target = np.column_stack([miss_m_s, *(one.directions for one in explanations)])
     white = solve_triangular(root, target, lower=True, check_finite=False)
-    miss, at = white[:, 0], 1
-    usual = -0.5 * float(miss @ miss) - float(np.log(np.diag(root)).sum())
+    return white.T @ white, 2 * float(np.log(np.diag(root)).sum())
+
+
+def _with_differing(products: F64, count: int) -> tuple[F64, F64]:
+    """Products of the columns from ``count`` on, and what the determinant's log grows by, once the
+    columns before them vary by each size: the matrix determinant lemma."""
+    size = np.square(_DIFFER)[:, None, None]
+    inner = np.eye(count) + size * products[..., :count, :count]
+    across = products[..., :count, count:]
+    known = np.swapaxes(across, -1, -2) @ np.linalg.solve(inner, across)
+    return products[..., count:, count:] - size * known, np.linalg.slogdet(inner)[1]
+
+
+def _log_densities(products: F64, explanations: Sequence[_Explanation]) -> F64:
+    """Of each explanation, last; but for what is the same of all. ``products``: of the misses
+    first."""
+    found, at = [], 1
     for one in explanations:
-        width = one.directions.shape[1]
-        part = white[:, at : at + width]
-        at += width
-        inner, seen = np.eye(width) + part.T @ part, part.T @ miss
-        more = float(seen @ np.linalg.solve(inner, seen)) - float(np.linalg.slogdet(inner)[1])
-        yield usual + 0.5 * more
+        here = slice(at, at := at + one.directions.shape[1])
+        inner = np.eye(here.stop - here.start) + products[..., here, here]
+        seen = products[..., here, :1]
+        by = (seen * np.linalg.solve(inner, seen)).sum(axis=(-1, -2))
+        found.append(0.5 * (by - np.linalg.slogdet(inner)[1] - products[..., 0, 0]))
+    return np.stack(found, axis=-1)
 
 
-def _says_changed(row: _Row) -> bool:
-    return row.explanation.what == "changed"
+def _is(what: str, explanations: Sequence[_Explanation]) -> NDArray[np.bool_]:
+    return np.array([one.what == what for one in explanations])
 
 
-def _says_misfit(row: _Row) -> bool:
-    return row.missed >= _MISFIT or row.explanation.what == "misfit"
-
-
-def _says_disturbed(row: _Row) -> bool:
-    return row.own >= _DISTURBED
-
-
-_SAYS: dict[Kind, Callable[[_Row], bool]] = {
-    "changed": _says_changed,
-    "misfit": _says_misfit,
-    "disturbed": _says_disturbed,
+_SAYS: dict[Kind, Callable[[Sequence[_Explanation]], NDArray[np.bool_]]] = {
+    "changed": lambda every: _is("changed", every),
+    "misfit": lambda every: (_MISSED >= _MISFIT)[:, None, None, None] | _is("misfit", every),
+    "disturbed": lambda _: _SHAKEN[..., None],
 }
 
 
 @dataclass(frozen=True)
 class _Parts:
-    """What a row makes of the speeds less the expected, m/s, all beats: by a change, what comes
-    again, what does not."""
+    """What a combination makes of the speeds less the expected, m/s, all beats: by a change, what
+    comes again, what does not."""
 
     changed: F64
     again: F64
     own: F64
 
 
-def _parts(stack: _Stack, row: _Row) -> _Parts:
-    directions = row.explanation.directions
-    covariance = _covariance(stack, row.own, row.missed) + directions @ directions.T
-    weights = np.linalg.solve(covariance, stack.miss_m_s)
-    along, what = directions @ (directions.T @ weights), row.explanation.what
+def _parts(stack: _Stack, one: _Explanation, missed: int, moves: int, differ: int) -> _Parts:
+    """The sizes by their indices."""
+    alike = stack.differ @ stack.differ.T
+    own = _MOVES[moves] ** 2 * stack.moving + _DIFFER[differ] ** 2 * alike
+    again = _MISSED[missed] ** 2 * stack.missed
+    by = one.directions @ one.directions.T
+    weights = np.linalg.solve(stack.known + own + again + by, stack.miss_m_s)
+    along = by @ weights
     return _Parts(
-        along * (what == "changed"),
-        row.missed**2 * stack.missed @ weights + along * (what == "misfit"),
-        row.own**2 * stack.own @ weights + along * (what == "spoilt"),
+        along * (one.what == "changed"),
+        again @ weights + along * (one.what == "misfit"),
+        own @ weights + along * (one.what == "spoilt"),
     )
 
 
 def _best(stack: _Stack, parts: _Parts, wanted_m_s: F64) -> int:
-    speeds = stack.speed_m_s - parts.own
-    error = np.abs(wanted_m_s[stack.beat] - speeds)
+    error = np.abs(wanted_m_s[stack.beat] - (stack.speed_m_s - parts.own))
     return int(np.argmin([error[stack.trial == at].max() for at in range(len(stack.trials))]))
 
 
 def _by_beat(stack: _Stack, values: F64) -> F64:
     """Means over the trials."""
-    total = np.bincount(stack.beat, values)
-    found: F64 = total / np.maximum(np.bincount(stack.beat), 1)
-    return found
+    return np.bincount(stack.beat, values) / np.maximum(np.bincount(stack.beat), 1)
 
 
 def _largest(values: F64) -> float:
     return float(values[np.argmax(np.abs(values))])
 
 
-def _effect_of_change(stack: _Stack, parts: _Parts) -> float:
-    return _largest(parts.changed[stack.trial == stack.trial[-1]])
-
-
-def _effect_of_misfit(stack: _Stack, parts: _Parts) -> float:
-    return _largest(_by_beat(stack, parts.again))
-
-
-def _effect_of_disturbance(stack: _Stack, parts: _Parts) -> float:
-    return float(np.sqrt(_by_beat(stack, parts.own**2).max()))
-
-
 _EFFECT: dict[Kind, Callable[[_Stack, _Parts], float]] = {
-    "changed": _effect_of_change,
-    "misfit": _effect_of_misfit,
-    "disturbed": _effect_of_disturbance,
+    "changed": lambda stack, by: _largest(by.changed[stack.trial == stack.trial[-1]]),
+    "misfit": lambda stack, by: _largest(_by_beat(stack, by.again)),
+    "disturbed": lambda stack, by: float(np.sqrt(_by_beat(stack, by.own**2).max())),
 }

@@ -5,10 +5,12 @@ How often it is right on random fish is measured by ``make soak``.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.law import Law
@@ -20,6 +22,7 @@ from tailbeat.learning.error_bound import error_bound, suggest
 from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import ModelStepSetting, propose_by
+from tailbeat.learning.scatter import MOVES_S
 
 MODEL = FishModel(10.0, 0.21, 0.2, 0.3)
 KNOWN = Identified(
@@ -46,7 +49,7 @@ def trials_of(
     return found
 
 
-def shifted(trials: list[TrialSpeeds], speed_m_s: list[F64 | float]) -> list[TrialSpeeds]:
+def shifted(trials: list[TrialSpeeds], speed_m_s: Sequence[F64 | float]) -> list[TrialSpeeds]:
     rows = zip(trials, speed_m_s, strict=True)
     return [replace(one, speed_m_s=one.speed_m_s + more) for one, more in rows]
 
@@ -128,6 +131,16 @@ def test_a_fish_that_changed() -> None:
     found = diagnose(Evidence(FEASIBLE, MOST_RAD, trials, believe(KNOWN, trials)))
     assert [(one.cause, one.place) for one in found] == [(Cause.CHANGED, "since trial 3")]
     assert found[0].share_m_s == pytest.approx(0.02, rel=0.3) and found[0].number.startswith("-")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_moving_water_hides_no_change(seed: int) -> None:
+    """Trials that differ little as a whole show a change that is no larger than the waves."""
+    fresh = np.random.default_rng(seed).normal(0, 0.0014, (6, FEASIBLE.beats))
+    waves = lfilter([1.0], [1.0, -np.exp(-1 / MOVES_S)], fresh, axis=1)
+    lost = np.repeat([0.0, 0.006], 3)[:, None]
+    found = departures_of(shifted(trials_of(FEASIBLE, 6), list(waves - lost)))
+    assert found["changed"].chance > 0.95 and found["changed"].since == 3
 
 
 def test_one_spoilt_trial_is_no_change() -> None:
