@@ -31,7 +31,7 @@ from tailbeat.learning.prediction import (
     Prediction,
     explain,
 )
-from tailbeat.learning.scatter import STD_ABS, Scatter
+from tailbeat.learning.scatter import STD_ABS, WALK, Scatter
 from tailbeat.learning.slopes import speed_and_slopes
 
 FALSE_ALARM = 1e-3  # of the test of one regular trial by the best explanation of it
@@ -40,8 +40,7 @@ MEMORY_TRIALS = 20  # older ones no longer count
 _MEAN_ABS = 0.7978845608028654  # of |N(0, 1)|: a fish begins forwards or at rest
 _ROUNDS = 2  # of fit and scatter
 _COLD_ROUNDS = 3
-_WALK = 0.004  # of the log gain, from trial to trial
-_DAY = 0.01  # likewise, from the identification to the first trial
+_DAY = 0.01  # as WALK, from the identification to the first trial
 _REPEATS_M_S = 0.001  # what repeats on a reference and the model leaves out: of a beat ...
 _REPEATS_BEATS = 2.0  # ... shared by neighbours
 _FORGETS_M_S = 0.0003  # ... that comes new with each trial
@@ -121,7 +120,7 @@ class Belief:
 
     def level(self) -> tuple[float, float]:
         """(log gain of the next trial, its variance): a Kalman filter along the trials."""
-        level, variance = 0.0, _WALK**2
+        level, variance = 0.0, WALK**2
         if self.fit is None:
             return level, variance
         gains = [math.log(given.gain) for given in self.fit.conditions]
@@ -130,11 +129,11 @@ class Belief:
             level += jumps.get(index, 0.0)
             if index in jumps:
                 variance += self.scatter.gain**2
-            variance += _WALK**2 + (_DAY**2 if index == len(self.first) else 0.0)
+            variance += WALK**2 + (_DAY**2 if index == len(self.first) else 0.0)
             share = variance / (variance + self.scatter.gain**2 / weight)
             level += share * (gain - level)
             variance *= 1 - share
-        return level, variance + _WALK**2
+        return level, variance + WALK**2
 
     @property
     def typical(self) -> Conditions:

@@ -4,8 +4,8 @@ The speeds of all compared trials, less those expected, are weighed at once. An 
 how they vary together, which gives them a density; sizes that nobody knows beforehand are tried on
 a grid. What comes again at the same amplitudes is the model's fault, what each trial has alone is
 the water's, one gain and one flow from some trial on are the fish's. How much trials differ as a
-whole and how much the water moves within them are two sizes: a fish that swims alike in moving
-water shows a change of its gain that one of the same error, placed carelessly, does not.
+whole and how much the water moves within them are two sizes: a
+fish that is placed with care shows a change even where the water moves.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from tailbeat.learning.prediction import (
     SPOILT_FLOW_M_S,
     SPOILT_GAIN,
 )
-from tailbeat.learning.scatter import STD_ABS
+from tailbeat.learning.scatter import STD_ABS, WALK
 from tailbeat.learning.slopes import speed_and_slopes
 
 Kind = Literal["changed", "misfit", "disturbed"]
@@ -39,6 +39,8 @@ _MISSED = np.array([0.2, 0.35, 0.6, 1.0, 1.5, 2.5, 5.0])
 _MOVES = np.array([0.4, 0.7, 1.0, 1.4, 1.9, 2.6, 3.6, 6.0])
 _DIFFER = np.array([0.2, 0.4, 0.7, 1.1, 1.7, 2.6, 4.2])
 _MISSED_CHANCE = np.array([0.1, 0.1, 0.3, 0.3, 0.08, 0.06, 0.06])
+_MOVES_CHANCE = np.exp(-0.5 * (np.log(_MOVES) / 0.7) ** 2)
+_DIFFER_CHANCE = np.exp(-0.5 * (np.log(_DIFFER / 0.8) / 0.6) ** 2)
 _MISFIT = 1.5  # times the expected, from which on it is called so
 # Likewise of what a trial has alone: of both sizes, or of what whole trials differ by. Few trials
 # tell little of that: together it counts less.
@@ -47,7 +49,6 @@ _BOTH = np.multiply.outer(_MOVES, _DIFFER**_DIFFER_POWER)
 _SHAKEN = (_BOTH >= _DISTURBED) | (_DIFFER >= _DIFFERENT)
 # How likely everything else is, in parts; of a change or a spoilt trial, any trial alike.
 _USUAL, _OTHER, _MAP, _SPOILT, _CHANGED = 0.6, 0.05, 0.05, 0.08, 0.4
-_WALK = 0.004  # of the log gain, from trial to trial
 _AGREE = 2  # so many trials tell a change from a spoilt one
 # Another map from amplitude to thrust: a smooth curve with this standard deviation and reach.
 _MAP_PART, _MAP_REACH_RAD = 0.1, 0.15
@@ -125,7 +126,7 @@ class _Stack:
         """Covariance of what the numbers, the day and the measurement do."""
         numbers, gain = self.slopes[:, :_COUNT], self.slopes[:, _GAIN]
         sigma = np.concatenate([one.sigma_m_s for one in self.trials])[self._seen]
-        walk = self.before.level()[1] + _WALK**2 * np.minimum.outer(self.trial, self.trial)
+        walk = self.before.level()[1] + WALK**2 * np.minimum.outer(self.trial, self.trial)
         day = walk * np.outer(gain, gain)
         return np.asarray(numbers @ self.before.covariance @ numbers.T + day + np.diag(sigma**2))
 
@@ -208,16 +209,10 @@ def _weighed(stack: _Stack, explanations: Sequence[_Explanation]) -> F64:
     left, more = _with_differing(products, stack.differ.shape[1])
     found = _log_densities(left, explanations) - 0.5 * (log_det + more[..., None])
     found += np.log([one.chance for one in explanations])
-    found += np.log(np.multiply.outer(_MISSED_CHANCE, _SIZES_CHANCE))[..., None]
+    sizes = np.multiply.outer(_MOVES_CHANCE, _DIFFER_CHANCE)
+    found += np.log(np.multiply.outer(_MISSED_CHANCE, sizes))[..., None]
     likely = np.exp(found - found.max())
     return np.asarray(likely / likely.sum())
-
-
-def _lognormal(sizes: F64, around: float, spread: float) -> F64:
-    return np.asarray(np.exp(-0.5 * (np.log(sizes / around) / spread) ** 2))
-
-
-_SIZES_CHANCE = np.multiply.outer(_lognormal(_MOVES, 1.0, 0.7), _lognormal(_DIFFER, 0.8, 0.6))
 
 
 def _whitened(stack: _Stack, missed: float, moves: float, target: F64) -> tuple[F64, float]:

@@ -17,6 +17,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 
 STD_ABS = 0.6028102749890869  # of |N(0, 1)|: a fish begins forwards or at rest
+WALK = 0.004  # standard deviation of the log gain's change from trial to trial
 MOVES_S = 6.0  # a flow that moves within a trial is forgotten in this time
 
 
