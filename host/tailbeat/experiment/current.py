@@ -23,7 +23,7 @@ from tailbeat.board.fish import Fish, board_reference
 from tailbeat.board.preserve import RESTORE_COMMAND, was_interrupted
 from tailbeat.board.snapshot import Differences, differences, same_value
 from tailbeat.core import decode
-from tailbeat.core.errors import InputError
+from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.faults import NO_REFERENCE, refusal
 from tailbeat.core.files import locked
 from tailbeat.core.law import Averaging, Law
@@ -296,16 +296,22 @@ def note_board(fish: Fish, params: Mapping[str, float]) -> None:
 
 def set_and_save(fish: Fish, values: Mapping[str, float]) -> dict[str, float]:
     """Sets and saves these parameters, and notes it in the experiment the fish is in; others that
-    were changed but not saved stay so. What the board then holds."""
+    were changed but not saved stay so, and all of them where one is refused. What the board then
+    holds."""
     now = fish.params.values()
     fish.params.load()
     stored = fish.params.values()
-    for name, value in values.items():
-        fish.params.set(name, value)
-    fish.params.save()
-    for name, value in now.items():
-        if name not in values and stored[name] != value:
+    unsaved = [name for name in now if name not in values and stored[name] != now[name]]
+    try:
+        for name, value in values.items():
             fish.params.set(name, value)
+        fish.params.save()
+    except TailbeatError:
+        unsaved += [name for name in values if name in now]
+        raise
+    finally:
+        for name in unsaved:
+            fish.params.set(name, now[name])
     held = fish.params.values(*values) if values else {}
     note_set(fish, held)
     return held

@@ -74,6 +74,13 @@ class TrialLibrary(TrialStore):
             sync_folder(self._marks)
             sync_folder(self.folder)
 
+    def unmark(self, copy: Path, mark: str) -> None:
+        """Takes a mark back; does nothing where there is none."""
+        with self.changing():
+            (self._marks / f"{_name_of(copy)}.{mark}").unlink(missing_ok=True)
+            if self._marks.is_dir():
+                sync_folder(self._marks)
+
     def kept(self, latest: Path | None = None) -> tuple[list[Kept], list[str]]:
         """All trials, in the order they were kept, and one line for each file that is not used and
         why. Of a trial kept twice, the second time with more in its file, only that counts.

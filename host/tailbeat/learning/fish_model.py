@@ -22,9 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tailbeat.core.arrays import F64
+from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
+from tailbeat.core.trial_checks import counts
 from tailbeat.core.trial_file import Trial
 
 PARAMS = ("kappa_per_m", "slope_m_s_rad", "dead_zone_rad", "delay_s")
@@ -227,6 +228,15 @@ class TrialSpeeds:
     def measured(self) -> NDArray[np.bool_]:
         """Beats that have a speed."""
         return np.isfinite(self.speed_m_s)
+
+    def error_m_s(self, wanted_m_s: ArrayLike) -> F32:
+        """Reference less speed; NaN = not measured."""
+        error: F32 = (np.asarray(wanted_m_s, np.float64) - self.speed_m_s).astype(np.float32)
+        return error
+
+    def judged(self, wanted_m_s: ArrayLike) -> bool:
+        """Whether it was executed to its end with enough beats measured (``trial_checks``)."""
+        return counts(self.error_m_s(wanted_m_s), self.swum_beats is None)
 
 
 def trial_speeds(trial: Trial) -> TrialSpeeds:

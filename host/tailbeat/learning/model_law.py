@@ -29,6 +29,7 @@ from tailbeat.core.files import plain
 from tailbeat.core.law import Law
 from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.reference import Reference
+from tailbeat.core.trial_checks import best_at
 from tailbeat.learning.belief import Belief, believe
 from tailbeat.learning.convergence import input_crc
 from tailbeat.learning.fish_model import PARAMS, SIGMA_M_S, FishModel, TrialSpeeds, last_input
@@ -110,10 +111,12 @@ def propose_by(
     own = _trials_of(reference, trials)
     recorded = last_input(own, reference.beats)
     low, high = _limits(recorded, amplitude_max_rad, step_max_rad)
-    law = _law(belief, own)
+    best = _best_known(reference, belief, own)
+    law = _law(belief, own, best)
     amplitude = _planned(belief, setting, low, high)
     if law == "best":
-        amplitude = _best_known(setting, belief, own)
+        assert best is not None
+        amplitude = best
     elif law == "p" and own:
         amplitude = _p_step(setting, own[-1], np.where(np.isfinite(recorded), recorded, amplitude))
     elif law == "p":
@@ -142,18 +145,11 @@ def propose_by(
     )
 
 
-def predicted_before(
-    identified: Identified, reference: Reference, trials: Sequence[TrialSpeeds]
-) -> tuple[float, float, float] | None:
-    """max|e| of the last of ``trials`` by what was known before, over the beats that it has: 5 %,
-    median, 95 %, m/s. None when it was not of this reference or not measured."""
-    return predicted_by(believe(identified, trials[:-1]), reference, trials)
-
-
 def predicted_by(
     known: Belief, reference: Reference, trials: Sequence[TrialSpeeds]
 ) -> tuple[float, float, float] | None:
-    """As ``predicted_before``, by what was believed then."""
+    """max|e| of the last of ``trials`` by what was known before it, over the beats that it has:
+    5 %, median, 95 %, m/s. None when it was not of this reference or not measured."""
     if not trials or trials[-1].reference_crc != reference.crc or not trials[-1].measured.any():
         return None
     last = trials[-1]
@@ -190,25 +186,23 @@ def _ready(amplitude_rad: F64, model: FishModel, amplitude_max_rad: float) -> F6
     return np.maximum(amplitude_rad, min(_NO_THRUST * model.dead_zone_rad, amplitude_max_rad))
 
 
-def _law(belief: Belief, own: Sequence[TrialSpeeds]) -> str:
+def _law(belief: Belief, own: Sequence[TrialSpeeds], best: F64 | None) -> str:
     """Which one makes the next input."""
-    if belief.refuted_in_a_row == 1 and len(own) > 1:
+    if belief.refuted_in_a_row == 1 and len(own) > 1 and best is not None:
         return "best"
     if belief.misfit_m_s > MISFIT_M_S or (belief.refuted and own):
         return "p"
     return "model"
 
 
-def _best_known(setting: ModelStepSetting, belief: Belief, own: Sequence[TrialSpeeds]) -> F64:
-    """The executed input with the smallest largest error; a spoilt trial's counts last."""
-    spoilt = {id(t) for t, odd in zip(belief.trials, belief.spoilt, strict=True) if odd}
-    reference = setting.reference.speed_m_s.astype(np.float64)
-
-    def cost(trial: TrialSpeeds) -> tuple[bool, float]:
-        error = np.abs(reference - trial.speed_m_s)
-        return id(trial) in spoilt, float(np.nanmax(error))
-
-    return min(own, key=cost).amplitude_rad
+def _best_known(reference: Reference, belief: Belief, own: Sequence[TrialSpeeds]) -> F64 | None:
+    """The executed input of the best trial that is judged, a spoilt one if there is no other; None
+    = none is judged."""
+    spoilt = {swim_crc(t) for t, odd in zip(belief.trials, belief.spoilt, strict=True) if odd}
+    judged = [trial for trial in own if trial.judged(reference.speed_m_s)]
+    chosen = [trial for trial in judged if swim_crc(trial) not in spoilt] or judged
+    best = best_at(trial.error_m_s(reference.speed_m_s) for trial in chosen)
+    return None if best is None else chosen[best].amplitude_rad
 
 
 def _p_begin(setting: ModelStepSetting) -> F64:

@@ -5,6 +5,7 @@ its amplitude limit, kept in the trial library and stored on the board.
 from __future__ import annotations
 
 from tailbeat.board.fish import Fish
+from tailbeat.board.snapshot import differences
 from tailbeat.core.reference import Reference
 from tailbeat.experiment.current import set_and_save
 from tailbeat.experiment.library import library_of
@@ -30,7 +31,7 @@ def store_law(fish: Fish, reference: Reference, identified: Identified) -> str:
         law = found.law.params()
         if book is not None:
             book.set_designed_law(key, law)
-    differing = {name: value for name, value in law.items() if params.get(name, value) != value}
+    differing = {name: law[name] for name in differences(params, law)}
     if differing:
         set_and_save(fish, differing)
     return ""

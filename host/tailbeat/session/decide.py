@@ -217,7 +217,7 @@ class Decisions:
         try:
             learned = self._on_board(recorded, decision, status)
         except Refused as refused:
-            self.account.withdrawn(recorded, str(refused))
+            self._withdraw(recorded, str(refused))
             raise
         self._require_done(recorded, decision)
         copy_state(self.fish, self.account.experiment)
@@ -265,18 +265,27 @@ class Decisions:
             )
         else:
             return
-        self.account.withdrawn(recorded, f"the board {what}")
+        self._withdraw(recorded, f"the board {what}")
         raise TailbeatError(
             f"trial {number} was decided on ({decision.kind}), but the board {what}: another "
             "program was quicker; the decision is withdrawn",
             f"{remedy}. Make sure that only one program controls this fish.",
         )
 
-    def _file(self, recorded: RecordedTrial, decision: Decision) -> None:
-        """Into the fish's trial library; one that cannot take it is no reason to stop."""
+    def _withdraw(self, recorded: RecordedTrial, why: str) -> None:
+        """What was decided; the trial counts in the trial library until it is decided on again."""
+        self.account.withdrawn(recorded, why)
+        self._file(recorded, None)
+
+    def _file(self, recorded: RecordedTrial, decision: Decision | None) -> None:
+        """Into the fish's trial library; one that cannot take it is no reason to stop. None: the
+        decision is withdrawn."""
+        dropped = decision is not None and decision.kind == "discard"
         try:
             if (book := library_of(self.fish)) is not None:
-                book.keep(recorded.file, DISCARDED if decision.kind == "discard" else "")
+                copy = book.keep(recorded.file, DISCARDED if dropped else "")
+                if decision is None:
+                    book.unmark(copy, DISCARDED)
         except TailbeatError as error:
             self.operator.tell(Notice(f"not kept in the trial library: {error}"))
 

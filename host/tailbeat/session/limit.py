@@ -120,8 +120,9 @@ def _not_now(straight: HeadingDrift | None, rolled_back: bool) -> str | None:
         )
     if straight is None:
         return (
-            "its heading error is unknown without an IMU or a camera. If you see that it swims"
-            " straight, raise the limit yourself: tailbeat params set"
+            "no trial with this centre of the tail tells its heading error, which takes an IMU or a"
+            " camera. If you see that it swims straight, raise the limit yourself: tailbeat params"
+            " set"
         )
     if straight.crooked:
         off = abs(math.degrees(straight.worst_yaw_rad))

@@ -21,7 +21,7 @@ from tailbeat.core.printable import Hex
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import reference_crc
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.store import Journal
+from tailbeat.experiment.store import Journal, Kept, read_kept
 from tailbeat.session.events import InputChosen, TrialDiagnosed
 from tailbeat.session.outcome import KINDS, Decision, Ready, RecordedTrial
 
@@ -183,8 +183,8 @@ class SessionLog:
     def open_trial(self) -> int | None:
         """A trial that was begun and is not known to have been executed, or on which nobody
         decided."""
-        last = self._last(("begun", "swum", "void", "decided", "learned"))
-        is_open = last is not None and last["what"] in ("begun", "swum")
+        last = self._last(("begun", "swum", "void", "decided", "withdrawn", "learned"))
+        is_open = last is not None and last["what"] in ("begun", "swum", "withdrawn")
         return int(last["trial"]) if is_open and last is not None else None
 
     def last_executed(self) -> int | None:
@@ -263,36 +263,47 @@ class SessionLog:
         owes = last is not None and last["what"] == "decided" and last["decision"] == "keep"
         return int(last["trial"]) if owes and last is not None else None
 
+    def to_repeat(self) -> Trial | None:
+        """The trial whose input is to be executed again, as it was decided; None: learned from
+        since. Raises InputError."""
+        last = self._last(("decided", "withdrawn", "learned"))
+        if last is None or last["what"] != "decided" or last["decision"] == "keep":
+            return None
+        path = self.experiment.raw / str(last.get("file"))
+        return read_trial(path) if path.is_file() else None
+
+    def executed(self) -> tuple[list[Kept], list[str]]:
+        """The trials in the order they were executed, each by its longest file, and what is wrong
+        with files that cannot be read."""
+        names = dict.fromkeys(str(entry.get("file")) for entry in self.journal.entries("swum"))
+        paths = (self.experiment.raw / name for name in names)
+        return read_kept(path for path in paths if path.is_file())
+
     def counting(self) -> list[Trial]:
-        """Trials in the order they were executed, without the discarded."""
-        trials, decisions = [], self._decisions()
-        for entry in self.journal.entries("swum"):
-            path = self.experiment.raw / str(entry.get("file"))
-            decision = decisions.get(path.name)
-            if decision is not None and decision.kind != "discard" and path.is_file():
-                trials.append(read_trial(path))
-        return trials
+        """Trials in the order they were executed, without the discarded. Raises InputError."""
+        kept, problems = self.executed()
+        if problems:
+            raise InputError(problems[0])
+        decisions = self._decisions()
+        last = [[decisions[name] for name in one.names if name in decisions] for one in kept]
+        return [
+            one.trial
+            for one, made in zip(kept, last, strict=True)
+            if made and made[-1].kind != "discard"
+        ]
 
     def drains(self) -> list[Drain]:
         """Of the trials since the battery was last changed."""
+        kept = self.executed()[0]
+        trials = {one.names[0]: one.trial for one in kept}
+        longer = {name for one in kept for name in one.names[1:]}
         drains: list[Drain] = []
         for entry in self.journal.entries():
             if entry["what"] == "resumed":
                 drains = []
-            elif entry["what"] == "swum" and (drain := self._drain(entry)) is not None:
-                drains.append(drain)
+            elif entry["what"] == "swum" and (name := str(entry.get("file"))) not in longer:
+                drains += _drain(entry, trials.get(name))
         return drains
-
-    def _drain(self, entry: Mapping[str, Any]) -> Drain | None:
-        start_v, end_v = entry.get("battery_start_v"), entry.get("battery_end_v")
-        if start_v is None or end_v is None:
-            return None
-        try:
-            trial = read_trial(self.experiment.raw / str(entry.get("file")))
-        except InputError:
-            return Drain(start_v, end_v, end_v)
-        least_v = min((volt for t_s, volt in trial.battery_v if t_s >= 0), default=end_v)
-        return Drain(start_v, end_v, min(least_v, end_v))
 
     def _last(self, kinds: tuple[str, ...]) -> Entry | None:
         found = None
@@ -300,6 +311,16 @@ class SessionLog:
             if entry["what"] in kinds:
                 found = entry
         return found
+
+
+def _drain(entry: Mapping[str, Any], trial: Trial | None) -> list[Drain]:
+    """One, or none where the voltages are unknown. ``trial``: None = its file cannot be read."""
+    start_v, end_v = entry.get("battery_start_v"), entry.get("battery_end_v")
+    if start_v is None or end_v is None:
+        return []
+    volts = () if trial is None else trial.battery_v
+    least_v = min((volt for t_s, volt in volts if t_s >= 0), default=end_v)
+    return [Drain(start_v, end_v, min(least_v, end_v))]
 
 
 def _found(ready: Ready | None) -> Entry:

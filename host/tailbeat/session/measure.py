@@ -48,6 +48,7 @@ from tailbeat.session.preflight import prepare
 from tailbeat.session.preflight_step import GivenUp, PreflightLimits, countdown
 from tailbeat.session.travel import TravelModel, travel_by, travel_model_of
 from tailbeat.session.trial import run_trial
+from tailbeat.session.trim import CENTRE
 
 RUNS_MAX = 3
 _LOWEST_RAD = 0.15  # where the rise begins: below most dead zones
@@ -55,6 +56,7 @@ _RISE_BEATS = (12, 10, 8, 6)  # as many as the tank has room for
 _HOLD_BEATS, _COAST_BEATS = 3, 6
 _SMALLER_RAD = 0.05  # steps of the highest amplitude where even the shortest rise has no room
 _MARGIN_M = 0.15  # of the tank's length, left free
+_ALIKE_US = 5.0  # centres that differ by no more: a turn of some 3 degrees over 2.2 m
 _TELLING_BEATS = 8  # of a run that was stopped for lack of room
 _HANDS = "Put the fish at rest at its start. Ready?"
 
@@ -111,12 +113,15 @@ def measure_fish(
 
 
 def measured_before(fish: Fish) -> MeasuredFish | None:
-    """As the trial library has it; None: no run of this fish is known."""
+    """As the trial library has it; None: no run of this fish is known. Whether it swims straight is
+    told by its last trial with about the present centre of the tail."""
     book = library_of(fish)
     identified = identified_if_readable(book)
     if book is None or identified is None or not identified.trials:
         return None
-    trials = (kept.trial for kept in reversed(book.kept()[0]) if kept.mark != DISCARDED)
+    centre = fish.params.get(CENTRE).value
+    counting = (kept.trial for kept in reversed(book.kept()[0]) if kept.mark != DISCARDED)
+    trials = (one for one in counting if abs(one.params.get(CENTRE, centre) - centre) <= _ALIKE_US)
     straight = next(filter(None, map(heading_drift, trials)), None)
     return MeasuredFish(identified, straight, len(identified.trials))
 

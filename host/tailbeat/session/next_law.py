@@ -18,7 +18,7 @@ import numpy as np
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
-from tailbeat.core.records import INPUT_RESTORED, INPUT_UPLOADED
+from tailbeat.core.records import INPUT_RESTORED, INPUT_UPLOADED, Amplitudes
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.folder import copy_state
@@ -57,15 +57,29 @@ class NextLaw:
 
     def begin(self, anew: bool = False) -> InputChosen:
         """Before the first trial of a series: plans it where nothing has been learned yet, and
-        where the board has made a step by itself since. What was uploaded (unless ``anew``) or
-        restored stays."""
-        held = self.fish.amplitudes().input or 0
-        kept = None if anew and held == INPUT_UPLOADED else _KEPT.get(held)
+        where the board has made a step by itself since. What was uploaded or is to be repeated
+        (unless ``anew``) or restored stays."""
+        held = self.fish.amplitudes()
+        kept = _KEPT.get(held.input or 0) or self._repeated(held)
+        if anew and held.input != INPUT_RESTORED:
+            kept = None
         return self._noted(kept or self._chosen(restored=False))
 
     def after(self, report: LearnReport) -> InputChosen:
         """After the board has learned from a trial; it has the next input when this returns."""
         return self._noted(self._chosen(report.rolled_back))
+
+    def _repeated(self, held: Amplitudes) -> InputChosen | None:
+        """Where the last decision was to execute the same amplitudes again, and the board still has
+        them, made by its own law."""
+        trial = self.log.to_repeat()
+        if trial is None or trial.reference_crc != held.reference_crc:
+            return None
+        input_rad = trial.beats.amplitude_rad
+        known = np.isfinite(input_rad)
+        if not np.array_equal(held.values[known], input_rad[known]):
+            return None
+        return InputChosen("p", f"the input of trial {trial.number} once more, as it was decided")
 
     def diagnose_last(self, made_by: str) -> TrialDiagnosed | None:
         """What explains the error of the last trial that was learned from; ``made_by``: the law of

@@ -62,7 +62,7 @@ def status_of(fish: Fish, experiment: Experiment) -> SessionStatus:
         state=status.state,
         pending_trial=status.pending_trial,
         iteration=status.iteration,
-        trials=len(experiment.journal.entries("swum")),
+        trials=len(account.executed()[0]),
         best_trial=verdict.best_trial if verdict else 0,
         best_max_abs_error_m_s=verdict.best_max_abs_error_m_s if verdict else math.nan,
         battery_v=status.battery_v,

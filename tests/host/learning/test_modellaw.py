@@ -22,7 +22,7 @@ from tailbeat.core.law import Law
 from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.reference import Reference, cosine, thesis, trapezoid
 from tailbeat.experiment.library import TrialLibrary
-from tailbeat.learning.belief import believe
+from tailbeat.learning.belief import Beliefs, believe
 from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.fit import Prior
 from tailbeat.learning.identification import Identified
@@ -30,8 +30,9 @@ from tailbeat.learning.model_law import (
     ModelStepSetting,
     Proposal,
     document_of,
-    predicted_before,
+    predicted_by,
     propose,
+    propose_by,
     repropose,
 )
 from tailbeat.session.next_input import (
@@ -321,14 +322,36 @@ def test_decision_is_made_again_bit_for_bit() -> None:
         repropose(read | {"format": "tailbeat proposal 1"}, tank.trials)
 
 
+def test_a_series_and_its_files_call_the_same_trial_spoilt() -> None:
+    """Trials are known by what was measured, not by the objects that hold it."""
+    tank, setting = Tank(7), ModelStepSetting(thesis(), AMPLITUDE_MAX_RAD)
+    tank.learn(known(TRUE), thesis(), 3)
+    error = thesis().speed_m_s - tank.trials[2].speed_m_s
+    pushed = replace(tank.trials[2], speed_m_s=tank.trials[2].speed_m_s + 0.9 * error)
+    shaken = replace(
+        tank.trials[1], speed_m_s=tank.trials[1].speed_m_s + 0.02 * np.sin(np.arange(40) * 2.1)
+    )
+    trials = [*tank.trials[:2], replace(pushed, amplitude_rad=pushed.amplitude_rad * 0.85), shaken]
+    beliefs = Beliefs(known(TRUE))
+    for count in range(1, 5):
+        now = [replace(trial) for trial in trials[:count]]
+        belief = beliefs.after(now)
+        made = propose_by(belief, setting, now)
+    assert belief.spoilt[2] and made.law == "best"
+    again = propose(known(TRUE), setting, [replace(trial) for trial in trials])
+    assert made.amplitude_rad.tolist() == again.amplitude_rad.tolist()
+    assert made.amplitude_rad.tolist() in [one.amplitude_rad.tolist() for one in trials[:2]]
+
+
 def test_foretold_is_what_was_known_before() -> None:
     identified, tank = known(TRUE), Tank(1)
     tank.learn(identified, thesis(), 2)
-    said = predicted_before(identified, thesis(), tank.trials)
+    known_then = believe(identified, tank.trials[:-1])
+    said = predicted_by(known_then, thesis(), tank.trials)
     before = propose(identified, ModelStepSetting(thesis(), AMPLITUDE_MAX_RAD), tank.trials[:1])
     assert said == pytest.approx(before.predicted_max_abs_error_m_s, rel=0.02)
-    assert predicted_before(identified, thesis(), []) is None
-    assert predicted_before(identified, cosine(0.05, 8, 10), tank.trials) is None
+    assert predicted_by(known_then, thesis(), []) is None
+    assert predicted_by(known_then, cosine(0.05, 8, 10), tank.trials) is None
 
 
 def test_no_swim_no_speed_and_damage() -> None:

@@ -10,9 +10,10 @@ import pytest
 
 from tailbeat.core.law import Law
 from tailbeat.core.reference import thesis
+from tailbeat.learning.belief import believe
 from tailbeat.learning.fish_model import FishModel, TrialSpeeds, last_input
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.model_law import ModelStepSetting, Proposal, predicted_before, propose
+from tailbeat.learning.model_law import ModelStepSetting, Proposal, predicted_by, propose
 from tailbeat.studies.montecarlo.batch import FishBatch
 
 LIMIT_RAD = math.pi / 4
@@ -129,11 +130,27 @@ def test_a_refuted_cut_trial_is_stepped_from_the_whole_input() -> None:
     assert following.amplitude_rad[beyond] == pytest.approx(np.float32(first.amplitude_rad[beyond]))
 
 
+def test_a_cut_trial_is_never_the_best_input() -> None:
+    """Only its ramp was executed, whose errors are small."""
+    batch = FishBatch("tank", [{"seed": 6.0}])
+    before = ModelStepSetting(REFERENCE, LIMIT_RAD)
+    first, _ = recorded(batch, propose(known(10), before), 1)
+    early = cut(first, 6)
+    shaken = replace(first, speed_m_s=first.speed_m_s + 0.02 * np.sin(np.arange(40) * 2.1))
+    least = [np.nanmax(np.abs(one.error_m_s(REFERENCE.speed_m_s))) for one in (early, first)]
+    assert least[0] < least[1]
+    following = propose(known(10), before, [first, early, shaken])
+    assert following.law == "best"
+    assert following.amplitude_rad.tolist() == first.amplitude_rad.tolist()
+    assert propose(known(10), before, [early, replace(shaken, swum_beats=39)]).law == "p"
+
+
 def test_what_was_foretold_is_of_the_beats_that_were_swum() -> None:
     """Cut before the end that nobody can follow: the error to expect is a small one."""
     batch = FishBatch("tank", [{"seed": 5.0}])
     first, _ = recorded(batch, propose(known(10), ModelStepSetting(REFERENCE, LIMIT_RAD)), 1)
-    whole = predicted_before(known(10), REFERENCE, [first])
-    early = predicted_before(known(10), REFERENCE, [cut(first, 20)])
+    before = believe(known(10), [])
+    whole = predicted_by(before, REFERENCE, [first])
+    early = predicted_by(before, REFERENCE, [cut(first, 20)])
     assert whole is not None and early is not None
     assert whole[1] > 0.009 and early[1] < 0.6 * whole[1]

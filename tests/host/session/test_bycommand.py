@@ -19,6 +19,7 @@ from tailbeat.core.reference import Reference
 from tailbeat.experiment.analysis import analyse
 from tailbeat.experiment.current import begin
 from tailbeat.experiment.folder import Experiment, held_state
+from tailbeat.experiment.library import library_of
 from tailbeat.experiment.redo import relearn
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.collect import keep_log, outcome_of, proposed_decision, record_of
@@ -212,6 +213,10 @@ def test_what_the_board_refuses_is_withdrawn(
     assert whats(experiment) == ["swum", "decided", "withdrawn"]
     account = SessionLog(experiment)
     assert account.decision_on(experiment.raw / f"{number:04d}.ulg") is None
+    assert account.open_trial() == number
+    book = library_of(fish)
+    assert book is not None
+    assert not any(one.mark for one in book.kept()[0])
 
 
 def test_a_swim_that_somebody_stopped_is_proposed_to_be_dropped_whenever_asked(

@@ -127,7 +127,7 @@ def test_a_sluggish_fish_needs_more_than_its_top_speed() -> None:
     ("given", "why"),
     [
         ((None, STRAIGHT, False), "tailbeat session commission"),
-        ((known(), None, False), "its heading error is unknown"),
+        ((known(), None, False), "tells its heading error"),
         ((known(), CROOKED, False), "tailbeat session trim"),
         ((known(), STRAIGHT, True), "rolled back"),
     ],

@@ -39,11 +39,12 @@ from tailbeat.session.events import (
     TrialStarted,
     TrialWarning,
 )
-from tailbeat.session.log import Drain, forecast, too_low
+from tailbeat.session.log import Drain, SessionLog, forecast, too_low
 from tailbeat.session.options import Options, Until
-from tailbeat.session.outcome import Decision, RecordedTrial
+from tailbeat.session.outcome import KINDS, Decision, RecordedTrial
 from tailbeat.session.preflight_step import GivenUp
 from tailbeat.session.series import SeriesEnd, run_series
+from tailbeat.session.status import status_of
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimBoard, SimTransport
 from tailbeat.studies.montecarlo.populations import draw
@@ -225,6 +226,40 @@ def test_the_verdict_knows_repeats_and_no_discarded_swim(trial: Callable[..., Se
     assert end.verdict is not None and end.verdict.kind == "first"
     end = trial(Script(AGAIN, KEEP))
     assert end.verdict is not None and end.verdict.kind != "first"
+
+
+def test_a_repeat_is_one_also_by_the_next_command(
+    fish: Fish, experiment: Experiment, trial: Callable[..., SeriesEnd]
+) -> None:
+    """Though a model that predicts the fish would plan another input meanwhile."""
+    for answer in (AGAIN, BUMPED, KEEP, KEEP):
+        trial(Script(answer), counts=KINDS)
+    swum = [one.trial for one in SessionLog(experiment).executed()[0]]
+    inputs = [one.beats.amplitude_rad.tolist() for one in swum]
+    assert inputs[0] == inputs[1] == inputs[2] != inputs[3]
+    why = [entry["why"] for entry in experiment.journal.entries("input")]
+    assert "the input of trial 1 once more, as it was decided" in why
+
+
+def test_a_trial_with_more_in_its_log_later_counts_once(
+    fish: Fish, experiment: Experiment, trial: Callable[..., SeriesEnd]
+) -> None:
+    """Speeds may be uploaded once it is kept: the log grows, and is pulled again."""
+    trial(Script())
+    trial(Script(), learn=False)
+    account, raw = SessionLog(experiment), experiment.raw / "0002.ulg"
+    grown = raw.with_name("0002-2.ulg")
+    grown.write_bytes(raw.read_bytes() + raw.read_bytes()[-1:])
+    entries = {what: experiment.journal.entries(what)[-1] for what in ("swum", "decided")}
+    before = len(account.drains())
+    for what, entry in entries.items():
+        values = {name: entry[name] for name in entry if name not in ("what", "time")}
+        experiment.journal.add(what, **(values | {"file": grown.name}))
+    assert [one.number for one in account.counting()] == [1, 2]
+    assert len(account.drains()) == before == 2
+    assert status_of(fish, experiment).trials == 2
+    experiment.journal.add("decided", trial=2, decision="discard", reason="a wave", file=grown.name)
+    assert [one.number for one in account.counting()] == [1]
 
 
 def test_what_counts_can_be_chosen(trial: Callable[..., SeriesEnd]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,14 @@ from tailbeat.core.reference import thesis
 from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save
-from tailbeat.experiment.library import RUN, TrialLibrary, preserve_folder
+from tailbeat.experiment.library import RUN, TrialLibrary, library_of, preserve_folder
+from tailbeat.learning.fish_model import trial_speeds
+from tailbeat.learning.identification import any_fish
 from tailbeat.link.messages import BeatEvent
 from tailbeat.link.params import known_parameters
 from tailbeat.session import trial, trim
 from tailbeat.session.events import Event, Notice, StepProgress, TrialStarted
+from tailbeat.session.measure import measured_before
 from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.preflight_step import GivenUp
 from tailbeat.session.travel import travel_model_of
@@ -266,6 +270,27 @@ def test_set_for_good_says_what_is_held(learned: Fish) -> None:
     assert set_and_save(learned, {"ILC_LEAD": 1.0}) == {"ILC_LEAD": 1.0}
 
 
+def test_what_is_refused_leaves_all_as_it_was(learned: Fish) -> None:
+    assert learned.params.get("ILC_GAIN").value == 3.5  # not saved
+    with pytest.raises(InputError, match="DU_MAX_RAD"):
+        set_and_save(learned, {"ILC_LEAD": 2.0, "DU_MAX_RAD": 99.0})
+    assert (learned.params.get("ILC_GAIN").value, learned.params.get("ILC_LEAD").value) == (3.5, 1)
+
+
+def test_trials_with_another_centre_do_not_tell_how_straight_it_swims(learned: Fish) -> None:
+    """The two of a trim turn the fish on purpose."""
+    find_centre(learned, Somebody())
+    book = library_of(learned)
+    assert book is not None
+    run = trial_speeds(book.kept()[0][-1].trial)
+    book.set_identified(replace(any_fish(), trials=[run]))
+    known = measured_before(learned)
+    assert known is not None and known.straight is None
+    set_and_save(learned, {CENTRE: book.kept()[0][-1].trial.params[CENTRE] + 3.0})
+    known = measured_before(learned)
+    assert known is not None and known.straight is not None
+
+
 # -- the line, without a fish ---------------------------------------------------------------------
 
 
@@ -341,8 +366,6 @@ def test_the_command_finds_and_sets_only_when_told() -> None:
 
 
 def test_a_real_fish_is_not_swum_unasked(monkeypatch: pytest.MonkeyPatch) -> None:
-    from dataclasses import replace
-
     usual = Fish.info
     monkeypatch.setattr(Fish, "info", lambda self: replace(usual(self), simulated=False))
     told = CliRunner().invoke(app, ["session", "trim", *SIM])

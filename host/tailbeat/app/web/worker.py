@@ -177,7 +177,8 @@ class Worker:
                     self._idle(fish)
             finally:
                 if self._asks.closed:
-                    self._stop_tail(fish)
+                    with contextlib.suppress(TailbeatError):
+                        self._stop_tail(fish)
                 stop()
 
     def _greet(self, fish: Fish) -> None:
@@ -261,14 +262,20 @@ class Worker:
         self.trials.find(fish)
 
     def _stop_tail(self, fish: Fish) -> None:
-        """Whoever made it beat. An armed board is disarmed, one that rests stays as it is."""
-        with contextlib.suppress(TailbeatError):
+        """Whoever made it beat. An armed board is disarmed, one that rests stays as it is. Raises
+        LinkLostError; the request stays then, for the next connection."""
+        try:
             fish.abort()
-            if fish.status().state == "ARMED":
-                fish.disarm()
             self.screen.say("stopped")
+        except LinkLostError:
+            raise
+        except TailbeatError as error:
+            self.screen.trouble(error)
         if not self._asks.closed:
             self._asks.abort_done()
+        with contextlib.suppress(TailbeatError):
+            if fish.status().state == "ARMED":
+                fish.disarm()
 
     # What the board says by itself.
 

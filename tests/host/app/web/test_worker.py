@@ -222,6 +222,26 @@ def test_abort_while_connecting_is_the_first_thing_said(tank: Tank) -> None:
     )  # the coast to the centre is over
 
 
+def test_an_abort_that_nobody_answers_is_sent_again(
+    ready: Tank, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The radio is dead at the wrong moment: the request outlives the connection."""
+    real, sent = Fish.abort, []
+
+    def abort(fish: Fish, wall: bool = False) -> None:
+        sent.append(fish)
+        if len(sent) == 1:
+            raise LinkLostError("the board does not answer", "Move the antenna.")
+        real(fish, wall)
+
+    monkeypatch.setattr(Fish, "abort", abort)
+    ready.worker.ask("abort")
+    now = ready.wait(lambda now: now.phase == "idle" and any("stopped" in line for line in now.log))
+    assert len(sent) == 2 and sent[0] is not sent[1]
+    assert any("does not answer" in line for line in now.log)
+    assert not ready.worker.wants_abort
+
+
 def test_abort_says_no_to_a_question(ready: Tank, monkeypatch: pytest.MonkeyPatch) -> None:
     """A board that was switched off may have a fish that shifted: nobody says yes by ABORT."""
     answers: list[bool] = []

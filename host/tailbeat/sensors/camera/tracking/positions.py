@@ -178,7 +178,11 @@ def _read_rows(path: Path) -> _Rows:
     sign = next((sign for sign in "\t;" if sign in top), ",")
     if sign != ",":
         text = re.sub(r"(?<=\d),(?=\d)", ".", text)
-    rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), delimiter=sign)]
+    try:
+        rows = list(csv.reader(text.splitlines(), delimiter=sign))
+    except csv.Error as error:
+        raise InputError(f"{path} is no table ({error})", _EXPORT) from error
+    rows = [[cell.strip() for cell in row] for row in rows]
     return [row for row in rows if any(row)]
 
 
@@ -187,10 +191,14 @@ def read_points(path: Path) -> list[PointTrack]:
     rows = _read_rows(path)
     for layout in FORMATS:
         if rows and layout.matches(rows):
-            found = layout.read(rows)
-            if found and all(len(point.at) for point in found):
+            what = f"{path} is a table of {layout.program}"
+            try:
+                found = layout.read(rows)
+            except (IndexError, ValueError) as error:  # rows or columns are missing
+                raise InputError(f"{what} that is cut off or damaged", _EXPORT) from error
+            if found and all(np.isfinite(point.at).any() for point in found):
                 return found
-            raise InputError(f"{path} is a table of {layout.program} without positions", _EXPORT)
+            raise InputError(f"{what} without positions", _EXPORT)
     raise InputError(f"{path} is no table of positions of {PROGRAMS}", _EXPORT)
 
 
