@@ -124,15 +124,17 @@ static size_t fill(channel_t *channel, size_t max) {
     const size_t taken = hal_serial_read(channel->hal, channel->port,
                                          channel->window + channel->held, max < room ? max : room);
     channel->held = (uint16_t)(channel->held + taken);
-    if (taken > 0) {
-        channel->last_byte_us = hal_time_us(channel->hal);
+    if (taken == 0 && !channel->quiet) {
+        channel->quiet_us = hal_time_us(channel->hal);
     }
+    channel->quiet = taken == 0;
     return taken;
 }
 
+/* Counted from a look at the port: the rest of a frame may have come while nobody looked. */
 static bool frame_stopped_coming(const channel_t *channel) {
-    return channel->held > 0 &&
-           hal_time_us(channel->hal) - channel->last_byte_us > CHANNEL_SILENCE_US;
+    return channel->held > 0 && channel->quiet &&
+           hal_time_us(channel->hal) - channel->quiet_us > CHANNEL_SILENCE_US;
 }
 
 bool channel_receive(channel_t *channel, mavlink_message_t *message) {
@@ -141,14 +143,12 @@ bool channel_receive(channel_t *channel, mavlink_message_t *message) {
         if (find_message(channel, message)) {
             return true;
         }
-        const bool stopped = frame_stopped_coming(channel);
         const size_t more = fill(channel, CHANNEL_CALL_BYTES - taken);
         taken += more;
-        if (more == 0 && !stopped) {
-            return false;
-        }
-        if (stopped) {
+        if (frame_stopped_coming(channel)) {
             drop(channel, 1);
+        } else if (more == 0) {
+            return false;
         }
     }
     return false;

@@ -25,9 +25,10 @@
 typedef struct {
     hal_t *hal;
     hal_port_t port;
-    uint8_t sequence; /* of the next message sent */
-    uint16_t held;    /* bytes in |window| */
-    uint64_t last_byte_us;
+    uint8_t sequence;    /* of the next message sent */
+    uint16_t held;       /* bytes in |window| */
+    bool quiet;          /* the port was found empty since bytes came */
+    uint64_t quiet_us;   /* ... first then */
     signing_t *signing;  /* of what is sent; NULL = nobody signs */
     uint32_t bad_frames; /* message that the board reads (inbound.h), wrong CRC */
     uint32_t dropped;    /* messages not sent because the line was full */

@@ -67,12 +67,23 @@ static store_result_t write_from(store_t *store, store_file_t *file, lfs_soff_t 
     return store_written(store, (int)written);
 }
 
+/* Looked at where a block begins: the look walks the filesystem. */
+static bool leaves_own_blocks(store_t *store, uint32_t offset, size_t length) {
+    const uint32_t block = store_block_bytes(store->hal);
+    const uint32_t in_block = offset % block;
+    return (in_block != 0 && in_block + length <= block) ||
+           store_free_bytes(store) > STORE_OWN_BLOCKS * block;
+}
+
 store_result_t store_write_at(store_t *store, store_file_t *file, uint32_t offset,
                               const void *bytes, size_t length) {
     REQUIRE(file->open);
     (void)store_begin(store);
     if (offset > STORE_BYTES_MAX || length > STORE_BYTES_MAX) {
         return STORE_BAD_ARGUMENT;
+    }
+    if (!leaves_own_blocks(store, offset, length)) {
+        return STORE_NO_SPACE;
     }
     return write_from(store, file, (lfs_soff_t)offset, LFS_SEEK_SET, bytes, length);
 }

@@ -14,6 +14,7 @@ typedef enum { STORE_READ = 0, STORE_WRITE_NEW = 1, STORE_APPEND = 2 } store_mod
 store_result_t store_open(store_t *store, store_file_t *file, const char *path, store_mode_t mode);
 store_result_t store_read_at(store_t *store, store_file_t *file, uint32_t offset, void *out,
                              size_t max, size_t *got);
+/* For what a host sends: STORE_NO_SPACE where fewer than STORE_OWN_BLOCKS would stay free. */
 store_result_t store_write_at(store_t *store, store_file_t *file, uint32_t offset,
                               const void *bytes, size_t length);
 store_result_t store_append(store_t *store, store_file_t *file, const void *bytes, size_t length);

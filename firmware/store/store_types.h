@@ -28,6 +28,7 @@
 /* Blocks that store_make_space keeps free beyond what it is asked for: learned input, pending trial
  * and the filesystem's own blocks must find room after a trial filled all the rest. */
 #define STORE_RESERVE_BLOCKS 10u
+#define STORE_OWN_BLOCKS 4u /* of these, for what the board itself must store */
 
 /* Fewer blocks are refused: the raw ones, 8 of folders and superblocks, 13 of records, those kept
  * free, and STORE_TRIAL_BLOCKS of a trial of 40 beats that is logged on a flash which erases first:

@@ -116,13 +116,9 @@ bool hal_flash_erase(hal_t *hal, uint32_t offset) {
     return offset % STORAGE_PAGE_BYTES == 0 && offset < STORAGE_BYTES;
 }
 
-/* A page that holds the bytes already is left alone: it wears out after some 10 000 writes. */
 bool hal_flash_program(hal_t *hal, uint32_t offset, const void *bytes) {
     if (offset % STORAGE_PAGE_BYTES != 0 || offset >= STORAGE_BYTES || !ready()) {
         return false;
-    }
-    if (holds(offset, bytes)) {
-        return true;
     }
     return supply_good() && write_page(hal, offset, bytes) && holds(offset, bytes);
 }

@@ -181,6 +181,23 @@ static void test_a_frame_that_stops_coming_is_given_up(void) {
     assert_heartbeat();
 }
 
+/* A command may keep the main loop for longer than that; the rest waits in the port. */
+static void test_silence_counts_only_while_somebody_listens(void) {
+    feed(heartbeat_v2, sizeof heartbeat_v2);
+    feed(heartbeat_v2, 10);
+    TEST_ASSERT_TRUE(channel_receive(&channel, &received));
+    feed(heartbeat_v2 + 10, sizeof heartbeat_v2 - 10);
+    hal.now_us += 2 * CHANNEL_SILENCE_US;
+    TEST_ASSERT_EQUAL(1, receive_all());
+    assert_heartbeat();
+    TEST_ASSERT_EQUAL(0, channel.bad_frames);
+    feed(heartbeat_v2, 10);
+    hal.now_us += 2 * CHANNEL_SILENCE_US;
+    TEST_ASSERT_EQUAL(0, receive_all());
+    feed(heartbeat_v2 + 10, sizeof heartbeat_v2 - 10);
+    TEST_ASSERT_EQUAL(1, receive_all());
+}
+
 static void test_one_call_takes_a_bounded_number_of_bytes(void) {
     static const uint8_t junk[CHANNEL_CALL_BYTES * 2];
     feed(junk, sizeof junk);
@@ -248,6 +265,7 @@ int main(void) {
     RUN_TEST(test_recovers_from_a_cut_frame);
     RUN_TEST(test_a_false_start_swallows_nothing);
     RUN_TEST(test_a_frame_that_stops_coming_is_given_up);
+    RUN_TEST(test_silence_counts_only_while_somebody_listens);
     RUN_TEST(test_one_call_takes_a_bounded_number_of_bytes);
     RUN_TEST(test_sends_mavlink_2_with_rising_sequence);
     RUN_TEST(test_a_full_line_drops_the_whole_message);

@@ -403,6 +403,17 @@ static void test_a_first_input_is_of_iteration_one(void) {
     }
 }
 
+/* The next number must be one that a START can carry. */
+static void test_a_trial_number_that_no_trial_follows(void) {
+    memory.last_trial = RECORD_TRIAL_MAX;
+    TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_memory(bytes, encode_memory()));
+    out = before;
+    memory.last_trial = RECORD_TRIAL_MAX + 1u;
+    refused(&kinds[1], encode_memory(), FAULT_BAD_DATA);
+    memory.last_trial = UINT32_MAX;
+    refused(&kinds[1], encode_memory(), FAULT_BAD_DATA);
+}
+
 static void test_best_is_not_looked_at_before_there_is_one(void) {
     memory.best_iteration = 0;
     memory.best_max_abs_error_m_s = INFINITY;
@@ -545,6 +556,7 @@ int main(void) {
     RUN_TEST(test_bad_floats_are_refused);
     RUN_TEST(test_bad_numbers_are_refused);
     RUN_TEST(test_a_first_input_is_of_iteration_one);
+    RUN_TEST(test_a_trial_number_that_no_trial_follows);
     RUN_TEST(test_best_is_not_looked_at_before_there_is_one);
     RUN_TEST(test_what_was_learned_before_visits_were_counted_still_loads);
     RUN_TEST(test_peaks_make_it_version_3);

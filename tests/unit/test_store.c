@@ -337,6 +337,41 @@ static void test_oldest_trials_go_first_and_the_kept_one_stays(void) {
     }
 }
 
+/* littlefs finds free blocks by walking through all files: where that fails it knows of none. */
+static void test_a_store_that_cannot_be_walked_loses_no_logs(void) {
+    fill_random(bytes, sizeof bytes);
+    char path[STORE_PATH_BYTES];
+    for (uint32_t n = 1; n <= 3; n++) {
+        trial_path(n, path);
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, path, bytes, TRIAL_FILE_BYTES));
+    }
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_open(&store, &file, path, STORE_READ));
+    const uint32_t last = file.file.ctz.head;
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_close(&store, &file));
+    memset(hal.flash + last * BLOCK_BYTES, 0x7F, 4); /* the block before it */
+    remount();
+    TEST_ASSERT_EQUAL_UINT32(0, store_free_bytes(&store));
+    TEST_ASSERT_EQUAL_INT(STORE_IO, store_make_space(&store, 20480, 0));
+    TEST_ASSERT_EQUAL_UINT32(3, count_entries("/trials"));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_remove(&store, path));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_make_space(&store, 20480, 0));
+    TEST_ASSERT_EQUAL_UINT32(2, count_entries("/trials"));
+}
+
+static void test_what_is_sent_leaves_the_board_its_blocks(void) {
+    fill_random(bytes, sizeof bytes);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_open(&store, &file, "/in/f", STORE_WRITE_NEW));
+    store_result_t result = STORE_OK;
+    for (uint32_t at = 0; at < MOCK_FLASH_BYTES && result == STORE_OK; at += 200) {
+        result = store_write_at(&store, &file, at, bytes + at % 2000, 200);
+    }
+    TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE, result);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_close(&store, &file));
+    const uint32_t free_blocks = store_free_bytes(&store) / BLOCK_BYTES;
+    TEST_ASSERT_UINT32_WITHIN(1, STORE_OWN_BLOCKS, free_blocks);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/key.bin", bytes, 52));
+}
+
 static void test_full_flash_refuses_and_keeps_the_old(void) {
     fill_random(bytes, sizeof bytes);
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/learned.bin", bytes, 4640));
@@ -564,6 +599,8 @@ int main(void) {
     RUN_TEST(test_random_operations_against_a_model);
     RUN_TEST(test_space_does_not_leak_over_many_trials);
     RUN_TEST(test_oldest_trials_go_first_and_the_kept_one_stays);
+    RUN_TEST(test_a_store_that_cannot_be_walked_loses_no_logs);
+    RUN_TEST(test_what_is_sent_leaves_the_board_its_blocks);
     RUN_TEST(test_full_flash_refuses_and_keeps_the_old);
     RUN_TEST(test_a_store_filled_to_the_last_block);
     RUN_TEST(test_dead_flash_is_reported);

@@ -53,8 +53,9 @@ bool hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length);
 bool hal_flash_erase(hal_t *hal, uint32_t offset);
 
 /* Programs one whole program unit; |offset| is a multiple of its size. False when it does not read
- * back as |bytes|, |offset| is bad, or the supply is too low to begin. A chip that erases first is
- * never asked to program a unit twice without an erase between. */
+ * back as |bytes|, |offset| is bad, or the supply is too low to begin. Programs also what reads so
+ * already: it may have been cut short, and waver. A chip that erases first is never asked to
+ * program a unit twice without an erase between. */
 bool hal_flash_program(hal_t *hal, uint32_t offset, const void *bytes);
 
 #endif
