@@ -36,8 +36,8 @@ DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 5760
 _HELLO_S = 0.4
 LISTEN_S = 3.0  # a board that was reset by opening its port is up again by then
 GRAMMAR = (
-    "a serial path, tcp:HOST:PORT, udp:PORT, udp:HOST:PORT, sim, sim:tank, sim:thesis, vboard or"
-    " vboard:IMAGE (the last four with ?plant=tank&seed=1&kappa=5&port=console"
+    "a serial path, tcp:HOST:PORT, udp:PORT, udp:HOST:PORT, sim, sim:tank, sim:reactive,"
+    " sim:thesis, vboard or vboard:IMAGE (the last six with ?plant=tank&seed=1&kappa=5&port=console"
     "&line=drop=0.2,delay=hc05…)"
 )
 _HEARTBEAT_S = 1.0

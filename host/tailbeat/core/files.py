@@ -49,7 +49,11 @@ def replacing(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
             yield file
         return
     part = temporary_beside(path)
-    descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BINARY, mode)
+    try:
+        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BINARY, mode)
+    except OSError as error:
+        error.filename = str(path)  # the temporary name says nothing to anybody
+        raise
     try:
         with os.fdopen(descriptor, "wb") as file:
             yield file

@@ -98,12 +98,7 @@ class Reference:
             What speaks against it, with a remedy each; empty when nothing does.
         """
         if not 1 <= self.beats <= BEATS_MAX:
-            return [
-                ReferenceProblem(
-                    f"the reference has {self.beats} beats; 1 to {BEATS_MAX} fit on the board.",
-                    "Shorten it.",
-                )
-            ]
+            return [ReferenceProblem(_too_long(f"{self.beats}"), "Shorten it.")]
         found = _value_problems(self.speed_m_s, limits.speed_max_m_s)
         need_m = self.travel_m + limits.fish_m
         if limits.tank_m > 0 and need_m > limits.tank_m:
@@ -178,14 +173,23 @@ def _value_problems(speed: F32, limit: float) -> list[ReferenceProblem]:
     return found
 
 
+def _too_long(beats: str) -> str:
+    return f"the reference has {beats} beats; 1 to {BEATS_MAX} fit on the board."
+
+
 def _beat_means(integral: Antiderivative, beats: int, beat_s: float) -> F32:
     edges = np.arange(beats + 1, dtype=np.float64) * beat_s
     return (np.diff(integral(edges)) / beat_s).astype(np.float32)
 
 
 def _whole_beats(duration_s: float, beat_s: float) -> int:
-    """Beats that cover the duration: a begun beat counts."""
-    return max(1, math.ceil(duration_s / beat_s - _ROUNDING))
+    """Beats that cover the duration: a begun beat counts. Raises InputError."""
+    beats = duration_s / beat_s
+    if beats > BEATS_MAX + _ROUNDING:
+        raise InputError(
+            _too_long(f"{beats:.0f}" if beats < 1e6 else f"{beats:.1e}"), "Shorten it."
+        )
+    return max(1, math.ceil(beats - _ROUNDING))
 
 
 def thesis_speed(t_s: NDArray[np.floating[Any]]) -> F64:

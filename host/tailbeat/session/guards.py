@@ -20,8 +20,8 @@ from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.session.outcome import BY_HAND, StopKind, StopReason
 
 Guard = Callable[[object], StopReason | None]
-"""Sees every Frame, Unseen, Afresh, CameraGone and BeatEvent as they come (ignore what you do not
-know); a reason aborts the trial."""
+"""Sees every Frame, Unseen, TrackReset, CameraGone and BeatEvent as they come (ignore what you do
+not know); a reason aborts the trial."""
 
 CRUISE_M_S = 0.08
 STOP_S = 0.5  # before the tail rests: picture, radio, and thrust that is under way
@@ -93,8 +93,8 @@ class WallGuard:
     A jump that no fish can swim (a wrong detection) is not believed before the third picture says
     the same. A fish that is not seen (Unseen, or a picture that is not believed) is taken to go on
     as it did, after a second as fast as then or as it should, whichever is more. A camera that is
-    gone (CameraGone), or has never seen the fish within 2 s, is a reason of its own. Afresh begins
-    anew.
+    gone (CameraGone), or has never seen the fish within 2 s, is a reason of its own. TrackReset
+    begins anew.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class WallGuard:
 
     def __call__(self, what: object) -> StopReason | None:
         """The reason to abort, or None. ``what``: a Frame,
-        Unseen, a BeatEvent, Afresh, CameraGone; all else is ignored."""
+        Unseen, a BeatEvent, TrackReset, CameraGone; all else is ignored."""
         if self._walls is None:
             return None
         if isinstance(what, Frame):
@@ -308,7 +308,7 @@ class DistanceGuard:
         self._measured: list[bool] = []
 
     def __call__(self, seen: object) -> StopReason | None:
-        """Looks at results.BeatEvent, and at Afresh, which begins anew."""
+        """Looks at results.BeatEvent, and at TrackReset, which begins anew."""
         if isinstance(seen, TrackReset):
             self._begin()
         if not isinstance(seen, BeatEvent) or self.room_m <= 0 or math.isinf(self.room_m):
@@ -390,7 +390,7 @@ class FrameRecorder:
     frames: list[Frame] = field(default_factory=list)
 
     def __call__(self, seen: object) -> None:
-        """Takes frames, and forgets them on Afresh."""
+        """Takes frames, and forgets them on TrackReset."""
         if isinstance(seen, TrackReset):
             self.frames.clear()
         elif isinstance(seen, Frame):

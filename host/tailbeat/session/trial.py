@@ -95,9 +95,10 @@ def run_trial(
     on_event : callable, optional
         Gets every event (``session.events``) in this thread; must return at once.
     guard : callable, optional
-        Sees every frame and beat, how time passes without a frame (``core.frames.Unseen``), the
-        begin of a track and the end of the camera, until the last beat; it aborts the trial by
-        returning a ``StopReason``; one of kind WALL leaves the last beats unmeasured.
+        Sees every frame and beat, how time passes without a frame
+        (``core.speed_source.Unseen``), the begin of a track and the end of the camera, until the
+        last beat; it aborts the trial by returning a ``StopReason``; one of kind WALL leaves the
+        last beats unmeasured.
     reconnect_s : float
         How long a broken link is tried again, s of the transport's clock.
     direction_rad : float

@@ -71,7 +71,9 @@ def config_field(name: str) -> str:
     """The field meant by ``name``; its unit may be left out (kappa = kappa_per_m)."""
     fields = [f for f in config_fields() if f not in ("seed", "plant")]
     matches = [f for f in fields if f == name] or [f for f in fields if f.startswith(name + "_")]
-    if len(matches) != 1:
+    if len(matches) > 1:
+        raise InputError(f"{name} may mean {', '.join(matches)}", "Write one of them.")
+    if not matches:
         raise InputError(
             f"the simulator has no value {name}",
             f"{did_you_mean(name, _with_short(fields))}It has: {', '.join(fields)}.",
@@ -82,8 +84,10 @@ def config_field(name: str) -> str:
 def _with_short(fields: list[str]) -> list[str]:
     """Also without their units, as they may be given."""
     units = ("_per_m", "_m_s_rad", "_m_s", "_rad_s", "_rad", "_kg_m", "_kg", "_m", "_s", "_v")
-    short = [field.removesuffix(unit) for field in fields for unit in units if field.endswith(unit)]
-    return [*fields, *dict.fromkeys(short)]
+    unit_of = {field: next(filter(field.endswith, units), "") for field in fields}
+    short = [field.removesuffix(unit) for field, unit in unit_of.items()]
+    clear = [one for one in short if sum(field.startswith(f"{one}_") for field in fields) == 1]
+    return list(dict.fromkeys([*fields, *clear]))
 
 
 @dataclass(frozen=True)

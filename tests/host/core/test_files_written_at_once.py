@@ -186,3 +186,9 @@ def test_two_that_fetch_one_file_do_not_meet(tmp_path: Path) -> None:
     again.finish()
     assert local.read_bytes() == DATA
     assert [path.name for path in tmp_path.iterdir()] == ["0001.ulg"]
+
+
+def test_what_cannot_be_written_has_the_name_that_was_given(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError) as found, replacing(tmp_path / "none" / "x.csv"):
+        pass
+    assert found.value.filename == str(tmp_path / "none" / "x.csv")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -186,3 +187,18 @@ def test_to_csv_has_units_in_the_header(tmp_path: Path) -> None:
     assert lines[0] == "beat,t_s,v_m_s"
     assert len(lines) == 41
     assert np.float32(lines[21].split(",")[2]) == np.float32(0.0791)
+
+
+@pytest.mark.parametrize(
+    ("text", "beats"),
+    [
+        ("thesis:0.06,600", "600"),
+        ("trapezoid:0.06,5,1e9", "1.0e+09"),
+        ("thesis:0.06,1e300", "1.0e+300"),
+        ("cosine:0.06,5,510", "520"),
+    ],
+)
+def test_more_beats_than_the_board_takes(text: str, beats: str) -> None:
+    """Before a beat of them is computed."""
+    with pytest.raises(InputError, match=re.escape(f"has {beats} beats; 1 to 512 fit")):
+        reference.from_text(text)

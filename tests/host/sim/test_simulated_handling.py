@@ -19,6 +19,7 @@ from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimBoard, SimTransport, SimulatedBoard
+from tailbeat.sim.config import config_field
 from tailbeat.sim.world import VERBS, BoardControls, CameraFrame, CommandLines, World
 
 US_PER_RAD = 572.9578
@@ -289,3 +290,10 @@ def test_lines_come_in_pieces(told: Told) -> None:
     assert b"there is no word" in lines.hear(b"x" * 5000)
     assert b"there is no word" in lines.hear(b"\xff\xfe\n")
     assert lines.hear(b"tilt 0\n") == b"ok\n"
+
+
+def test_a_short_name_of_several_values_says_which() -> None:
+    with pytest.raises(InputError, match=r"battery may mean battery_v, battery_"):
+        config_field("battery")
+    with pytest.raises(InputError, match=r"Did you mean kappa\?"):
+        config_field("kapa")

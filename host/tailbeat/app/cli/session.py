@@ -144,7 +144,7 @@ def _text(found: Design, applied: bool) -> str:
         f"simulated  max|e| {medians} mm/s from iteration 0 on (medians)",
         f"           90 % of the last: {mm(float(found.series.low_m_s[-1]))} to "
         f"{mm(float(found.series.high_m_s[-1]))} mm/s",
-        f"bound      {mm(found.floor_m_s)} mm/s by the model: noise aside, no law does much better",
+        f"L2-optimal {mm(found.floor_m_s)} mm/s by the model: noise aside, no law does much better",
     ]
     applied_words = (
         "applied    it is the board's now, with ILC_KD, ILC_END_EXT, ILC_DECR_RATE and "

@@ -381,6 +381,7 @@ class _Reader:
                     raise self.wrapped("", error) from error
         for index, claim in enumerate(recipe.claims, 1):
             self.check_claim(f"claim {index}", claim, names)
+            self.check_iterations(f"claim {index}", claim, recipe)
         self.check_simulator(recipe)
 
     def check_law(self, recipe: Recipe, law: LawSpec) -> None:
@@ -415,6 +416,15 @@ class _Reader:
                 f"{label}: {claim.statistic} needs the repeats it is judged by",
                 'Add against = {law = "the repeats"}.',
             )
+
+    def check_iterations(self, label: str, claim: ClaimSpec, recipe: Recipe) -> None:
+        most = max(recipe.iterations, recipe.before_iterations)
+        for wanted in (claim.iteration, claim.from_iteration, claim.against.get("iteration")):
+            if isinstance(wanted, int) and not -1 <= wanted <= most:
+                raise self.fail(
+                    f"{label}, '{claim.text}': there is no iteration {wanted}",
+                    f"Give one of 0 to {most}, or -1 for the last.",
+                )
 
     def check_simulator(self, recipe: Recipe) -> None:
         """The simulator itself says whether the values make sense."""

@@ -509,6 +509,7 @@ def test_corners() -> None:
             "claim 1, 'the board's law gets better': there is no law bord",
         ),
         (("iteration = 3\nagainst", 'of = "error"\nagainst'), "there is no column error"),
+        (("iteration = 3\nagainst", "iteration = 60\nagainst"), "there is no iteration 60"),
         (("title =", "title"), "no TOML"),
         (("[[law]]", "[law]"), "no TOML"),
         (("chunk = 2", "before = 'thesis'"), "before needs before_iterations"),
