@@ -34,7 +34,7 @@ PACKAGE = "tailbeat"
 # section 9.2 with a comparison of every figure with its text; by starts that wait for a flash,
 # and by what only some commands load.
 FILES_MAX = 298
-CODE_LINES_MAX = 45_600
+CODE_LINES_MAX = 45_620
 IMPORTS_IN_FUNCTIONS_MAX = 1
 LONGER_FILES: dict[str, int] = {}  # path below the package: lines, with the reason beside it
 

@@ -18,10 +18,15 @@ import numpy as np
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
-from tailbeat.core.records import INPUT_RESTORED, INPUT_UPLOADED, Amplitudes
+from tailbeat.core.records import (
+    INPUT_RESTORED,
+    INPUT_UPLOADED,
+    Amplitudes,
+    decode_learned,
+)
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial
-from tailbeat.experiment.folder import copy_state
+from tailbeat.experiment.folder import copy_state, held_state
 from tailbeat.experiment.library import identified_if_readable, library_of
 from tailbeat.learning.assessment import rollback_words
 from tailbeat.learning.belief import Beliefs
@@ -60,7 +65,7 @@ class NextLaw:
         where the board has made a step by itself since. What was uploaded or is to be repeated
         (unless ``anew``) or restored stays."""
         held = self.fish.amplitudes()
-        kept = _KEPT.get(held.input or 0) or self._repeated(held)
+        kept = self._told(held) or _KEPT.get(held.input or 0) or self._repeated(held)
         if anew and held.input != INPUT_RESTORED:
             kept = None
         return self._noted(kept or self._chosen(restored=False))
@@ -68,6 +73,17 @@ class NextLaw:
     def after(self, report: LearnReport) -> InputChosen:
         """After the board has learned from a trial; it has the next input when this returns."""
         return self._noted(self._chosen(report.rolled_back))
+
+    def _told(self, held: Amplitudes) -> InputChosen | None:
+        """Of an uploaded input what was said of it then; None: it is another one."""
+        told, copy = self.log.journal.entries("input"), held_state(self.log.experiment)
+        if held.input != INPUT_UPLOADED or not told or copy is None or not copy.learned:
+            return None
+        same = decode_learned(copy.learned).amplitude_rad.tobytes() == held.values.tobytes()
+        if not same or told[-1]["trial"] != self.fish.status().next_trial:
+            return None
+        expected = told[-1].get("expected_m_s")
+        return InputChosen(told[-1]["law"], told[-1]["why"], expected and tuple(expected))
 
     def _repeated(self, held: Amplitudes) -> InputChosen | None:
         """Where the last decision was to execute the same amplitudes again, and the board still has

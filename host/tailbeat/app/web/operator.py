@@ -72,12 +72,17 @@ class PageOperator:
         return bool(ask.values["yes"])
 
     def number(self, question: str, value: float) -> float | None:
-        """What is typed below the question; a plain yes is none."""
-        worker = self.worker
-        words = state.on_the_page(f"{question} {value:g}.")
-        ask = worker.answered(self.fish, "answer", question=words, number=value)
+        """What is typed below the question, which stays until it is a number or the answer no."""
+        worker, more, typed = self.worker, "", None
+        while typed is None:
+            words = state.on_the_page(f"{question} {value:g}.") + more
+            ask = worker.answered(self.fish, "answer", question=words, number=value)
+            if not ask.values["yes"]:
+                break
+            typed = _number_of(ask.values["typed"])
+            more = f" '{ask.values['typed']}' is no number: type it, or answer no."
         worker.set_phase("working", "note", question="", number=None)
-        return _number_of(ask.values["typed"]) if ask.values["yes"] else None
+        return typed
 
 
 def _number_of(text: str) -> float | None:

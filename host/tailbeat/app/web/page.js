@@ -37,7 +37,7 @@
   button.addEventListener("click", (event) => { if (event.detail === 0) abort(); }); // Enter
 
   function isTyping(target) {
-    return target.isContentEditable || ["INPUT", "TEXTAREA", "SELECT"].includes(target.tagName);
+    return target.isContentEditable || ["INPUT", "TEXTAREA"].includes(target.tagName);
   }
 
   function stops(event) {

@@ -20,6 +20,8 @@ from tailbeat.session.events import (
     Countdown,
     Event,
     InputChosen,
+    LinkLost,
+    LinkRestored,
     LiveValues,
     StepBegun,
     StepEnded,
@@ -174,12 +176,22 @@ def after(now: PageState, event: Event, clock: str) -> PageState:
     return logged(now, text, clock) if text else now
 
 
+_CUT = (
+    "The link to the fish is broken; this program tries to get it back. ABORT does not reach the"
+    " fish meanwhile: use the switch on it."
+)
+
+
 def _changed(now: PageState, event: Event) -> PageState:
     match event:
         case StepProgress():
             return _step(now, event)
         case Countdown(left_s):
             return replace(now, phase="countdown", left_s=left_s, step="hands out of the water")
+        case LinkLost():
+            return replace(now, problem=_CUT)
+        case LinkRestored():
+            return replace(now, problem="" if now.problem == _CUT else now.problem)
         case TrialStarted(trial):
             return replace(_cleared(now, trial), phase="swimming", step="", left_s=None)
         case BeatEvent():
@@ -323,7 +335,8 @@ _CONTROLS = tuple(
         (r"board clear", "'Clear the fault' on this page"),
         (r"(?:stop|board disarm)\b(?! --)", "ABORT"),
         (
-            r"params (?:list|save|set(?: [A-Z_]+(?: [0-9.]+)?)?)(?:,? tailbeat params save)?",
+            r"params (?:list|save|set(?: [A-Z_]+(?: [0-9]+(?:[.][0-9]+)?)?)?)"
+            r"(?:,? tailbeat params save)?",
             "'Parameters' on this page",
         ),
         (

@@ -51,6 +51,7 @@ from tailbeat.session.trial_camera import camera_of
 OpenCamera = Callable[["Fish"], AbstractContextManager[tuple["Camera | None", "Guard | None"]]]
 """Opens the camera of a series, and the guard that goes with it."""
 
+_BROKEN_OFF = ("stopped", "interrupted")  # see SeriesEnd
 _IDLE_LOOKS = 8  # a request ends the wait: what the board reports is seen a little later, no more
 _END_S = 30.0  # the coast, the rest after it and a pull over a slow link
 _log = logging.getLogger(__name__)
@@ -200,6 +201,7 @@ class Worker:
         )
         self._look_at_imu(fish)
         self.look_at_reference(fish)
+        self._read_params_again(fish)
         self.trials.find(fish)
         self._look_ahead(fish)
         self.screen.say(f"connected to {info.connection}")
@@ -240,6 +242,7 @@ class Worker:
         with contextlib.suppress(LinkLostError):
             self.screen.show(state.by_status(self.now, fish.status()))
             self.look_at_reference(fish)
+            self._read_params_again(fish)
             self._look_ahead(fish)
         self.set_phase(
             "idle",
@@ -258,6 +261,7 @@ class Worker:
 
     def _upload(self, fish: Fish, reference: Reference) -> None:
         self.trials.upload(fish, reference)
+        self.screen.set(law="", guide=(), diagnosis="")  # of the reference before
         self.look_at_reference(fish)
         self.trials.find(fish)
 
@@ -355,10 +359,12 @@ class Worker:
         if end is None:
             return
         if commission != "never":
-            PageOperator(self, fish).tell(StepEnded("trials", end.why != "stopped", end.words))
+            PageOperator(self, fish).tell(
+                StepEnded("trials", end.why not in _BROKEN_OFF, end.words)
+            )
         else:
             self.screen.say(end.words)
-        if end.why == "stopped":
+        if end.why in _BROKEN_OFF:
             self.screen.set(problem=state.on_the_page(end.words))
         if commission != "never" and end.rounds:
             self.trials.report()
@@ -401,6 +407,11 @@ class Worker:
 
     def _read_params(self, fish: Fish) -> None:
         self.screen.set(params=tuple(fish.params.list().values()))
+
+    def _read_params_again(self, fish: Fish) -> None:
+        """Where somebody has unfolded them: a job may have set some, a restart all."""
+        if self.now.params:
+            self._read_params(fish)
 
     def _set(self, fish: Fish, name: str, value: float) -> None:
         """A larger amplitude limit only as far as a run went without a fault."""

@@ -12,7 +12,14 @@ from tailbeat.app.web.state import LOG_LINES, PageState, TrialCurve, after, logg
 from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.events import StepBegun, StepEnded, StepProgress, TrialStarted
+from tailbeat.session.events import (
+    LinkLost,
+    LinkRestored,
+    StepBegun,
+    StepEnded,
+    StepProgress,
+    TrialStarted,
+)
 from tailbeat.session.outcome import Travel
 
 NOW = PageState(
@@ -74,7 +81,7 @@ def test_the_error_axis_holds_every_error_and_the_error_bound() -> None:
     assert all(math.log2(axis[end]).is_integer() for end in ("min", "max"))
     assert kept["markLine"]["data"][0]["yAxis"] == pytest.approx(10.7)
     without = charts.error_chart(replace(NOW, rows=rows, error_bound_m_s=math.nan))
-    assert "markLine" not in without["series"][0]
+    assert without["series"][0]["markLine"] == {"data": []}
 
 
 def test_lines_differ_in_grey() -> None:
@@ -289,3 +296,14 @@ def test_the_log_forgets_its_oldest_lines() -> None:
     assert len(now.log) == LOG_LINES
     assert now.log[0].endswith("line 5")
     assert now.logged == LOG_LINES + 5
+
+
+def test_a_broken_link_is_said_where_abort_is() -> None:
+    cut = after(replace(NOW, phase="swimming"), LinkLost(), "12:00:00")
+    assert "ABORT does not reach the fish" in cut.problem and cut.phase == "swimming"
+    assert after(cut, LinkRestored("RUNNING"), "12:00:05").problem == ""
+
+
+def test_a_full_stop_after_a_value_stays() -> None:
+    words = state.on_the_page("raise it: tailbeat params set AMP_MAX_RAD 0.67. Otherwise slow down")
+    assert words == "raise it: 'Parameters' on this page. Otherwise slow down"

@@ -259,6 +259,34 @@ def test_abort_says_no_to_a_question(ready: Tank, monkeypatch: pytest.MonkeyPatc
     assert (answers, now.phase, now.question, now.problem) == ([False], "idle", "", "not now.")
 
 
+def test_a_number_that_is_none_is_asked_for_again(
+    ready: Tank, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers: list[float | None] = []
+
+    def series(fish: Fish, experiment: object, operator: Any, *_: object) -> SeriesEnd:
+        answers.append(operator.number("To allow it, type", 0.67))
+        return SeriesEnd("stopped", "not now.", [], None)
+
+    monkeypatch.setattr("tailbeat.session.proposals.run_series", series)
+    ready.worker.ask("swim", preflight=False)
+    ready.wait(lambda now: now.phase == "asking" and now.question.endswith("0.67."))
+    ready.worker.ask("answer", yes=True, typed="much")
+    ready.wait(lambda now: "'much' is no number" in now.question)
+    done = ready.worker.now.done
+    ready.worker.ask("answer", yes=True, typed="0,67")
+    ready.wait(lambda now: now.done > done)
+    assert answers == [0.67]
+
+
+def test_parameters_that_are_shown_are_read_again_after_a_job(ready: Tank) -> None:
+    ready.ask("params")
+    fish = Fish(SimTransport(ready.board))
+    fish.params.set("ILC_GAIN", 5.0)
+    now = ready.ask("upload", reference=from_text(SHORT))
+    assert next(p.value for p in now.params if p.name == "ILC_GAIN") == 5.0
+
+
 def test_what_stopped_it_is_shown_until_it_is_cleared(ready: Tank) -> None:
     ready.board.world.set_tilt_rad(1.4)
     now = ready.ask("swim", preflight=False)
