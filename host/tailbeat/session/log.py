@@ -282,9 +282,10 @@ class SessionLog:
     def counting(self) -> list[Trial]:
         """Trials in the order they were executed, without the discarded. Raises InputError."""
         kept, problems = self.executed()
-        if problems:
-            raise InputError(problems[0])
         decisions = self._decisions()
+        for problem in problems:
+            if any(made.kind != "discard" and name in problem for name, made in decisions.items()):
+                raise InputError(problem)
         last = [[decisions[name] for name in one.names if name in decisions] for one in kept]
         return [
             one.trial

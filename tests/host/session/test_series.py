@@ -260,6 +260,11 @@ def test_a_trial_with_more_in_its_log_later_counts_once(
     assert status_of(fish, experiment).trials == 2
     experiment.journal.add("decided", trial=2, decision="discard", reason="a wave", file=grown.name)
     assert [one.number for one in account.counting()] == [1]
+    grown.write_bytes(b"no log")
+    assert [one.number for one in account.counting()] == [1, 2]  # a discarded one may be damaged
+    raw.write_bytes(b"no log")
+    with pytest.raises(InputError, match=raw.name):
+        account.counting()
 
 
 def test_what_counts_can_be_chosen(trial: Callable[..., SeriesEnd]) -> None:
