@@ -18,12 +18,7 @@ import numpy as np
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
-from tailbeat.core.records import (
-    INPUT_RESTORED,
-    INPUT_UPLOADED,
-    Amplitudes,
-    decode_learned,
-)
+from tailbeat.core.records import INPUT_RESTORED, INPUT_UPLOADED, Amplitudes, decode_learned
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.folder import copy_state, held_state

@@ -25,6 +25,7 @@ from tailbeat.experiment.library import TrialLibrary, identified_if_readable
 from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.fit import Prior, farthest, fit, speeds_with_coast, travel_m
 from tailbeat.learning.identification import Identified
+from tailbeat.learning.planner import plan
 from tailbeat.learning.scatter import Scatter
 from tailbeat.link.ftp.wire import FtpError
 from tailbeat.session.guards import Guard, GuardedTrial
@@ -124,11 +125,11 @@ def travel_of(
     return travel_by(travel_model_of(params, identified, last), amplitude_rad, params, beat_s)
 
 
-def travel_next(fish: Fish, book: TrialLibrary | None) -> Travel:
+def travel_next(fish: Fish, book: TrialLibrary | None, planned: bool = False) -> Travel:
     """Of what the board will swim next, by the best that is known of it. Raises Refused without a
     reference. Nothing on the board changes: before the first arming the amplitudes are those that
-    arming will compute."""
-    following = _next(fish, book)
+    arming will compute; ``planned``: those of an identified fish that its model will plan."""
+    following = _next(fish, book, planned)
     return travel_by(following.belief, following.amplitude_rad, following.params, following.beat_s)
 
 
@@ -160,7 +161,7 @@ class _Next:
     belief: TravelModel
 
 
-def _next(fish: Fish, book: TrialLibrary | None) -> _Next:
+def _next(fish: Fish, book: TrialLibrary | None, planned: bool = False) -> _Next:
 
     record = fish.reference_record()
     if record is None:
@@ -169,12 +170,16 @@ def _next(fish: Fish, book: TrialLibrary | None) -> _Next:
     params = fish.params.values()
     law = laws.Law.from_params(params, wanted.beat_s)
     held = fish.amplitudes() if fish.status().iteration else None
-    if held is None or held.input == INPUT_FIRST:
-        values = first_amplitudes(law, wanted.speed_m_s)
-    else:
+    identified, limit = identified_if_readable(book), params["AMP_MAX_RAD"]
+    if held is not None and held.input != INPUT_FIRST:
         values = held.values
+    elif planned and identified is not None:
+        found = plan(identified.model, wanted.speed_m_s, wanted.beat_s, limit)
+        values = found.amplitude_rad.astype(np.float32)
+    else:
+        values = first_amplitudes(law, wanted.speed_m_s)
     amplitude = laws.saturate(law, values).astype(np.float64)
-    belief = travel_model_of(params, identified_if_readable(book), last_measured(fish, book))
+    belief = travel_model_of(params, identified, last_measured(fish, book))
     return _Next(amplitude, wanted.beat_s, params, belief)
 
 

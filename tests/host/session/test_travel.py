@@ -13,9 +13,10 @@ import pytest
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
 from tailbeat.core.errors import InputError, Refused
-from tailbeat.core.reference import thesis
+from tailbeat.core.reference import thesis, trapezoid
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.library import TrialLibrary
+from tailbeat.learning.identification import any_fish
 from tailbeat.session.outcome import Travel
 from tailbeat.session.travel import last_measured, travel_next, travel_of
 from tailbeat.session.trial import run_trial
@@ -210,3 +211,16 @@ def test_expected_against_true(plant: str, lead: int, gain: float, tmp_path: Pat
     table = np.array(errors).reshape(20, 6)
     print(plant, gain, "mean", table.mean(axis=0).round(3), "max", np.abs(table).max(axis=0))
     assert np.abs(table[:, 1:]).max() < 0.3 and beyond <= 8
+
+
+def test_what_a_model_will_plan_goes_as_far_as_the_reference(tmp_path: Path) -> None:
+    """Where nothing was learned yet the board's own first input may be far from it."""
+    with Fish.connect("sim?seed=4") as fish:
+        fish.upload_reference(trapezoid(0.04, 5, 20).record())
+        book = TrialLibrary.of(fish.unique_id(), tmp_path)
+        by_board = travel_next(fish, book, planned=True).expected_m
+        assert by_board == travel_next(fish, book).expected_m
+        book.set_identified(replace(any_fish(), source="runs"))
+        planned_m = travel_next(fish, book, planned=True).expected_m
+        assert planned_m == pytest.approx(1.0, abs=0.08)
+        assert abs(by_board - 1.0) > 0.2

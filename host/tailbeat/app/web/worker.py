@@ -330,7 +330,7 @@ class Worker:
         try:
             travel, room_m = "", None
             if self.now.reference_m_s:
-                found = travel_next(fish, library_of(fish))
+                found = travel_next(fish, library_of(fish), planned=True)
                 travel, room_m = view.travel_line(found), found.room_m
         except LinkLostError:
             raise
