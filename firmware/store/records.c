@@ -256,12 +256,13 @@ fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memo
     const uint16_t best_iteration = bytes_get_u16(body + 10);
     const uint16_t input = bytes_get_u16(body + 14);
     const uint32_t last_trial = bytes_get_u32(body + 4);
-    const bool input_good = last_trial <= RECORD_TRIAL_MAX && input < MEMORY_INPUT_COUNT &&
-                            (input != MEMORY_INPUT_FIRST || iteration == 1u);
+    const bool input_good =
+        input < MEMORY_INPUT_COUNT && (input != MEMORY_INPUT_FIRST || iteration == 1u);
     const bool best_good =
         (!has_peaks || peaks_good(&peaks, beats)) &&
         (best_iteration == 0u || (not_negative(body + 16, 1) && not_negative(best, beats)));
-    if (!input_good || !all_finite(amplitudes, beats) || !best_good) {
+    if (last_trial > RECORD_LAST_TRIAL_MAX || !input_good || !best_good ||
+        !all_finite(amplitudes, beats)) {
         return FAULT_BAD_DATA;
     }
     memory->beats = beats;

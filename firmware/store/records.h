@@ -26,9 +26,9 @@
 #define RECORD_VERSION 1u
 #define RECORD_MEMORY_VERSION 3u
 #define RECORD_CRASH_VERSION 2u
+#define RECORD_LAST_TRIAL_MAX 0x00FFFFFFu /* a START carries the next number as a float */
 
 /* The longest pending trial, and the longest of all others (learned input), 512 beats. */
-#define RECORD_TRIAL_MAX 0x00FFFFFFu /* highest number: a START carries the next one as a float */
 #define RECORD_TRIAL_MAX_BYTES (28u + 3u * 4u * BEATS_MAX)
 #define RECORD_MAX_BYTES (34u + 6u * JUDGE_PEAKS + (2u * 4u + 1u) * BEATS_MAX)
 #define RECORD_PAST_MAX_BYTES (24u + 2u * 4u * BEATS_MAX)

@@ -453,13 +453,11 @@ store_result_t store_make_space_step(store_t *store, uint32_t bytes, uint32_t ke
     if (bytes > STORE_BYTES_MAX) {
         return STORE_NO_SPACE;
     }
-    store_usage_t usage;
-    if (!store_find_usage(store, &usage)) {
+    uint32_t free_bytes = 0;
+    if (!store_find_free(store, &free_bytes)) {
         return STORE_IO; /* a log is damaged: taking others away would free nothing */
     }
-    const uint32_t block_bytes = store_block_bytes(store->hal);
-    const uint32_t needed = bytes + STORE_RESERVE_BLOCKS * block_bytes;
-    if ((usage.data_blocks - usage.data) * block_bytes < needed) {
+    if (free_bytes < bytes + STORE_RESERVE_BLOCKS * store_block_bytes(store->hal)) {
         return remove_oldest_trial(store, keep_trial);
     }
     *done = true;

@@ -87,9 +87,15 @@ int store_open_short(store_t *store, lfs_file_t *file, struct lfs_file_config *c
     return lfs_file_opencfg(&store->lfs, file, path, flags, config);
 }
 
-uint32_t store_free_bytes(store_t *store) {
+bool store_find_free(store_t *store, uint32_t *bytes) {
     store_usage_t usage;
-    return store_find_usage(store, &usage)
-               ? (usage.data_blocks - usage.data) * store_block_bytes(store->hal)
-               : 0;
+    const bool found = store_find_usage(store, &usage);
+    *bytes = found ? (usage.data_blocks - usage.data) * store_block_bytes(store->hal) : 0;
+    return found;
+}
+
+uint32_t store_free_bytes(store_t *store) {
+    uint32_t bytes = 0;
+    (void)store_find_free(store, &bytes);
+    return bytes;
 }

@@ -35,7 +35,10 @@ store_result_t store_result(int code);
 /* The same for a call that wrote: counts failures. */
 store_result_t store_written(store_t *store, int code);
 
-/* Free bytes in whole blocks. Walks the filesystem. */
+/* Free bytes in whole blocks, and whether the filesystem can be walked; 0 where it cannot. */
+bool store_find_free(store_t *store, uint32_t *bytes);
+
+/* The same bytes. */
 uint32_t store_free_bytes(store_t *store);
 
 /* Whether a write failed since the last question for another reason than a full store: pages did

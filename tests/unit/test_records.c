@@ -405,10 +405,10 @@ static void test_a_first_input_is_of_iteration_one(void) {
 
 /* The next number must be one that a START can carry. */
 static void test_a_trial_number_that_no_trial_follows(void) {
-    memory.last_trial = RECORD_TRIAL_MAX;
+    memory.last_trial = RECORD_LAST_TRIAL_MAX;
     TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_memory(bytes, encode_memory()));
     out = before;
-    memory.last_trial = RECORD_TRIAL_MAX + 1u;
+    memory.last_trial = RECORD_LAST_TRIAL_MAX + 1u;
     refused(&kinds[1], encode_memory(), FAULT_BAD_DATA);
     memory.last_trial = UINT32_MAX;
     refused(&kinds[1], encode_memory(), FAULT_BAD_DATA);

@@ -343,12 +343,16 @@ static void test_a_store_that_cannot_be_walked_loses_no_logs(void) {
     char path[STORE_PATH_BYTES];
     for (uint32_t n = 1; n <= 3; n++) {
         trial_path(n, path);
-        TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, path, bytes, TRIAL_FILE_BYTES));
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_open(&store, &file, path, STORE_WRITE_NEW));
+        for (uint32_t done = 0; done < 3u * BLOCK_BYTES; done += TRIAL_FILE_BYTES) {
+            TEST_ASSERT_EQUAL_INT(STORE_OK, store_append(&store, &file, bytes, TRIAL_FILE_BYTES));
+        }
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_close(&store, &file));
     }
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_open(&store, &file, path, STORE_READ));
     const uint32_t last = file.file.ctz.head;
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_close(&store, &file));
-    memset(hal.flash + last * BLOCK_BYTES, 0x7F, 4); /* the block before it */
+    memset(hal.flash + last * BLOCK_BYTES, 0x7F, 8); /* pointers to the blocks before it */
     remount();
     TEST_ASSERT_EQUAL_UINT32(0, store_free_bytes(&store));
     TEST_ASSERT_EQUAL_INT(STORE_IO, store_make_space(&store, 20480, 0));

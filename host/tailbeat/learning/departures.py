@@ -4,8 +4,8 @@ The speeds of all compared trials, less those expected, are weighed at once. An 
 how they vary together, which gives them a density; sizes that nobody knows beforehand are tried on
 a grid. What comes again at the same amplitudes is the model's fault, what each trial has alone is
 the water's, one gain and one flow from some trial on are the fish's. How much trials differ as a
-whole and how much the water moves within them are two sizes: a
-fish that is placed with care shows a change even where the water moves.
+whole and how much the water moves within them are two sizes: a fish that is placed with care shows
+a change even where the water moves.
 """
 
 from __future__ import annotations

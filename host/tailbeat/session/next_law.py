@@ -59,26 +59,25 @@ class NextLaw:
         """Before the first trial of a series: plans it where nothing has been learned yet, and
         where the board has made a step by itself since. What was uploaded or is to be repeated
         (unless ``anew``) or restored stays."""
-        held = self.fish.amplitudes()
-        kept = self._told(held) or _KEPT.get(held.input or 0) or self._repeated(held)
-        if anew and held.input != INPUT_RESTORED:
-            kept = None
+        held, kept = self.fish.amplitudes(), None
+        if not anew or held.input == INPUT_RESTORED:
+            kept = self._uploaded(held) or _KEPT.get(held.input or 0) or self._repeated(held)
         return self._noted(kept or self._chosen(restored=False))
 
     def after(self, report: LearnReport) -> InputChosen:
         """After the board has learned from a trial; it has the next input when this returns."""
         return self._noted(self._chosen(report.rolled_back))
 
-    def _told(self, held: Amplitudes) -> InputChosen | None:
-        """Of an uploaded input what was said of it then; None: it is another one."""
-        told, copy = self.log.journal.entries("input"), held_state(self.log.experiment)
-        if held.input != INPUT_UPLOADED or not told or copy is None or not copy.learned:
+    def _uploaded(self, held: Amplitudes) -> InputChosen | None:
+        """What the event log has of an uploaded input; None: it is another one."""
+        chosen, copy = self.log.journal.entries("input"), held_state(self.log.experiment)
+        if held.input != INPUT_UPLOADED or not chosen or copy is None or not copy.learned:
             return None
         same = decode_learned(copy.learned).amplitude_rad.tobytes() == held.values.tobytes()
-        if not same or told[-1]["trial"] != self.fish.status().next_trial:
+        if not same or chosen[-1]["trial"] != self.fish.status().next_trial:
             return None
-        expected = told[-1].get("expected_m_s")
-        return InputChosen(told[-1]["law"], told[-1]["why"], expected and tuple(expected))
+        expected = chosen[-1].get("expected_m_s")
+        return InputChosen(chosen[-1]["law"], chosen[-1]["why"], expected and tuple(expected))
 
     def _repeated(self, held: Amplitudes) -> InputChosen | None:
         """Where the last decision was to execute the same amplitudes again, and the board still has

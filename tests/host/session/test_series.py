@@ -234,8 +234,8 @@ def test_a_repeat_is_one_also_by_the_next_command(
     """Though a model that predicts the fish would plan another input meanwhile."""
     for answer in (AGAIN, BUMPED, KEEP, KEEP):
         trial(Script(answer), counts=KINDS)
-    swum = [one.trial for one in SessionLog(experiment).executed()[0]]
-    inputs = [one.beats.amplitude_rad.tolist() for one in swum]
+    trials = [one.trial for one in SessionLog(experiment).executed()[0]]
+    inputs = [one.beats.amplitude_rad.tolist() for one in trials]
     assert inputs[0] == inputs[1] == inputs[2] != inputs[3]
     why = [entry["why"] for entry in experiment.journal.entries("input")]
     assert "the input of trial 1 once more, as it was decided" in why

@@ -94,8 +94,6 @@ def beat_error_chart(now: PageState) -> Options:
     if bound is not None and _drawable(bound):
         bars["markLine"] = _line(bound * 1e3, f"error bound ±{bound * 1e3:.1f}", LIMIT)
         bars["markLine"]["data"].append({"yAxis": -round(bound * 1e3, 3), "label": {"show": False}})
-    else:
-        bars["markLine"] = _NO_LINE
     marks = (
         ("at the limit", saturated, "triangle", LIMIT),
         ("no speed", missing, _CROSS, REFERENCE),
@@ -226,8 +224,6 @@ def error_chart(now: PageState) -> Options:
         bound = now.error_bound_m_s * 1e3
         words = f"error bound {bound:.1f}: no input does better"
         series[0]["markLine"] = _line(bound, words, LIMIT)
-    elif series:
-        series[0]["markLine"] = _NO_LINE
     options = _frame("mm/s", series, beats=0, top=None)
     last = max((row.iteration for row in rows), default=1)
     whole = {"type": "value", "min": 0, "max": max(5, last + 1), "minInterval": 1}
@@ -266,10 +262,8 @@ def _points(rows: Sequence[TrialRow], *decisions: str) -> list[list[float]]:
 
 def _series(name: str, kind: str, data: Sequence[Any], colour: str, **look: Any) -> Options:
     plain: Options = {"itemStyle": {"color": colour}, "emphasis": {"disabled": True}}
+    plain["markLine"] = {"data": []}  # left out, the line drawn before would stay
     return {"name": name, "type": kind, "data": data, **plain, **look}
-
-
-_NO_LINE: Options = {"data": []}  # left out, the line drawn before would stay
 
 
 def _line(value: float, words: str, colour: str) -> Options:
