@@ -27,12 +27,18 @@ if(TAILBEAT_COVERAGE)
 endif()
 
 # The host's library and the benchmarks are optimised for speed, over all files: the simulated board
-# takes a quarter fewer instructions. Not for tests, which are many small programs and have sanitizers, and
-# not for the board, whose image is counted and looked at file by file.
+# takes a quarter fewer instructions. Not for tests, which are many small programs and have sanitizers.
 if(NOT (TAILBEAT_BARE_METAL OR TAILBEAT_TESTS OR TAILBEAT_SANITIZE OR TAILBEAT_COVERAGE))
   set(CMAKE_C_FLAGS_RELEASE "-O3 -fno-math-errno") # nobody reads errno: a square root is one instruction
   include(CheckIPOSupported)
   check_ipo_supported(RESULT CMAKE_INTERPROCEDURAL_OPTIMIZATION_RELEASE OUTPUT ipo_missing LANGUAGES C)
   # Calls that are inlined across files let gcc think of paths that no caller takes.
   add_link_options($<$<C_COMPILER_ID:GNU>:-Wno-stringop-overread>)
+endif()
+
+# The image is optimised for size over all files: 2.8 KB less. In one piece, so that it is the same on
+# every machine.
+if(TAILBEAT_BARE_METAL AND NOT TAILBEAT_TESTS)
+  set(CMAKE_INTERPROCEDURAL_OPTIMIZATION ON)
+  add_link_options(-flto-partition=one)
 endif()

@@ -25,6 +25,8 @@ from elftools.elf.sections import SymbolTableSection
 EXCEPTION_BYTES = 32 + 4
 ADDRESSES = 1 << 32
 OBJDUMP = "arm-none-eabi-objdump"
+NM = "arm-none-eabi-nm"
+ADDR2LINE = "arm-none-eabi-addr2line"
 
 HEADER = re.compile(r"^([0-9a-f]+) <([^>]+)>:$")
 LINE = re.compile(r"^\s+([0-9a-f]+):\t([0-9a-f ]+?)\s*\t([a-z0-9._]+)\s*(.*)$")
@@ -82,7 +84,6 @@ class Function:
     address: int
     name: str
     end: int  # what lies between here and the next function only fills up
-    file: str = ""  # of a local function
     frame_bytes: int = 0
     compiled: bool = False
     calls: list[Call] = field(default_factory=list)
@@ -95,7 +96,7 @@ class Symbol:
     name: str
     address: int
     size: int
-    file: str  # source file of a local symbol, "" for a global one
+    file: str  # path of its source, "" when no debug information tells it
     kind: str  # STT_FUNC, STT_OBJECT, STT_NOTYPE
 
 
@@ -147,21 +148,45 @@ def base_name(name: str) -> str:
     return name.split(".")[0]
 
 
-def symbols(elf: ELFFile) -> list[Symbol]:
+def output_of(*command: str) -> str:
+    """What a tool of the compiler prints. Raises StackError with its message."""
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise StackError(done.stderr.strip())
+    return done.stdout
+
+
+def source_files(elf_path: Path) -> dict[int, str]:
+    """Source of each symbol by address: link-time optimisation leaves it to debug information."""
+    placed = re.findall(r"^([0-9a-f]+) \w \S+\t(.+):\d+$", output_of(NM, "-l", str(elf_path)), re.M)
+    return {int(address, 16): file for address, file in placed}
+
+
+def innermost(elf_path: Path, places: list[int]) -> dict[int, str]:
+    """The function of the source that each instruction is from, be it inlined into another; "" when
+    no debug information tells it."""
+    if not places:
+        return {}
+    command = [ADDR2LINE, "-f", "-e", str(elf_path), *map(hex, places)]
+    names = output_of(*command).splitlines()[::2]
+    return {at: "" if name == "??" else name for at, name in zip(places, names, strict=True)}
+
+
+def symbols(elf_path: Path) -> list[Symbol]:
     """All symbols with an address."""
     found: list[Symbol] = []
-    file = ""
-    table = elf.get_section_by_name(".symtab")
-    if not isinstance(table, SymbolTableSection):
-        raise StackError("the image has no symbols")
-    for entry in table.iter_symbols():
-        kind = entry["st_info"]["type"]
-        if kind == "STT_FILE":
-            file = entry.name
-        elif entry.name and entry["st_shndx"] != "SHN_UNDEF" and not entry.name.startswith("$"):
-            local = entry["st_info"]["bind"] == "STB_LOCAL"
-            address = entry["st_value"] & ~1 if kind == "STT_FUNC" else entry["st_value"]
-            found.append(Symbol(entry.name, address, entry["st_size"], file if local else "", kind))
+    files = source_files(elf_path)
+    with elf_path.open("rb") as stream:
+        table = ELFFile(stream).get_section_by_name(".symtab")
+        if not isinstance(table, SymbolTableSection):
+            raise StackError("the image has no symbols")
+        for entry in table.iter_symbols():
+            kind = entry["st_info"]["type"]
+            unplaced = kind == "STT_FILE" or entry["st_shndx"] == "SHN_UNDEF"
+            if entry.name and not unplaced and not entry.name.startswith("$"):
+                address = entry["st_value"] & ~1 if kind == "STT_FUNC" else entry["st_value"]
+                size = entry["st_size"]
+                found.append(Symbol(entry.name, address, size, files.get(address, ""), kind))
     return found
 
 
@@ -211,16 +236,15 @@ class Program:
     """The call graph of an image."""
 
     def __init__(self, elf_path: Path, su_folder: Path, facts: Facts) -> None:
+        self.symbols = symbols(elf_path)
+        self._by_name = {symbol.name: symbol for symbol in self.symbols}
         with elf_path.open("rb") as stream:
-            elf = ELFFile(stream)
-            self.symbols = symbols(elf)
-            self._by_name = {symbol.name: symbol for symbol in self.symbols}
-            self._vectors = self._read_vectors(elf)
+            self._vectors = self._read_vectors(ELFFile(stream))
         self.facts = facts
         self.functions: dict[int, Function] = {}
         self._read_code(elf_path)
         self._set_frames(compiler_frames(su_folder))
-        self._resolve_pointers()
+        self._resolve_pointers(elf_path)
         self._depths: dict[int, Chain] = {}
 
     def symbol(self, name: str) -> Symbol:
@@ -248,14 +272,16 @@ class Program:
     def named(self, name: str) -> list[int]:
         """Addresses of all functions that a name in a table means; at least one."""
         file, _, function = name.rpartition(":")
-        found = [
-            address
-            for address, candidate in self.functions.items()
-            if base_name(candidate.name) == function and file in ("", candidate.file)
-        ]
+        found = {
+            symbol.address
+            for symbol in self.symbols
+            if symbol.address in self.functions
+            and base_name(symbol.name) == function
+            and file in ("", Path(symbol.file).name)
+        }
         if not found:
             raise StackError(f"the tables name {name}, which the image lacks")
-        return found
+        return sorted(found)
 
     def deepest(self, address: int) -> Chain:
         """The deepest path from a function downwards, its own frame included."""
@@ -275,11 +301,7 @@ class Program:
         raise StackError("the vector table lies in no section")
 
     def _read_code(self, elf_path: Path) -> None:
-        command = [OBJDUMP, "--disassemble", "--wide", str(elf_path)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            raise StackError(done.stderr.strip())
-        lines = done.stdout.splitlines()
+        lines = output_of(OBJDUMP, "--disassemble", "--wide", str(elf_path)).splitlines()
         starts = [match for match in map(HEADER.match, lines) if match]
         sizes = {s.address: s.size for s in self.symbols if s.kind == "STT_FUNC" and s.size}
         for start in starts:
@@ -316,31 +338,33 @@ class Program:
         return self._starts[bisect.bisect_right(self._starts, address) - 1]
 
     def _set_frames(self, compiled: dict[tuple[str, str], int]) -> None:
-        files = {s.address: s.file for s in self.symbols if s.kind == "STT_FUNC"}
+        files = {s.address: Path(s.file).name for s in self.symbols if s.kind == "STT_FUNC"}
         for function in self.functions.values():
             name = base_name(function.name)
-            function.file = files.get(function.address, "")
-            frame = compiled.get((function.file, name), compiled.get(("", name)))
+            frame = compiled.get((files.get(function.address, ""), name), compiled.get(("", name)))
             if frame is not None:
                 # The compiler's figure lacks the registers of a struct that came half in them.
                 function.frame_bytes = max(frame, function.frame_bytes)
                 function.compiled = True
 
-    def _resolve_pointers(self) -> None:
-        explained = set()
-        for name, callees in self.facts.calls.items():
-            for caller in self.named(name):
-                function = self.functions[caller]
-                explained.add(caller)
-                for address in (address for callee in callees for address in self.named(callee)):
-                    function.calls.append(Call(address, function.pointer_calls_are_tail))
-        for function in self.functions.values():
-            if function.pointer_calls and function.address not in explained:
-                places = ", ".join(f"{at:#x}" for at in function.pointer_calls)
+    def _resolve_pointers(self, elf_path: Path) -> None:
+        """Edges for the calls through pointers, from the table of calls."""
+        callers = [(f, at) for f in self.functions.values() for at in f.pointer_calls]
+        unused = set(self.facts.calls)
+        written_in = innermost(elf_path, [at for _, at in callers])
+        for function, at in callers:
+            name = written_in.get(at) or base_name(function.name)
+            if name not in self.facts.calls:
                 raise StackError(
-                    f"{function.name} calls through a pointer ({places}): say in the table of "
+                    f"{name} calls through a pointer ({at:#x}): say in the table of "
                     f"calls what may be behind it"
                 )
+            for address in (a for callee in self.facts.calls[name] for a in self.named(callee)):
+                function.calls.append(Call(address, function.pointer_calls_are_tail))
+            unused.discard(name)
+        if unused:
+            names = ", ".join(sorted(unused))
+            raise StackError(f"the table of calls names {names}, which calls through no pointer")
 
     def _measure(self) -> None:
         for group in components(self.functions):
