@@ -40,6 +40,8 @@ static bool is_leftover(const char *folder, const store_entry_t *entry) {
 }
 
 typedef struct {
+    store_t *store;
+    bool unlinked; /* a file whose blocks cannot be found is one, too */
     const char *folder;
     char path[STORE_PATH_BYTES]; /* of the first leftover; empty: none yet */
 } leftover_t;
@@ -47,16 +49,24 @@ typedef struct {
 static bool note_leftover(void *context, const store_entry_t *entry) {
     leftover_t *leftover = context;
     const char *folder = leftover->folder;
-    if (is_leftover(folder, entry) &&
-        strlen(folder) + 1u + strlen(entry->name) < STORE_PATH_BYTES) {
-        join_path(leftover->path, folder, entry->name);
+    if (strlen(folder) + 1u + strlen(entry->name) >= STORE_PATH_BYTES) {
+        return true;
     }
-    return leftover->path[0] == '\0';
+    join_path(leftover->path, folder, entry->name);
+    if (is_leftover(folder, entry) ||
+        (leftover->unlinked && !store_is_linked(leftover->store, leftover->path))) {
+        return false;
+    }
+    leftover->path[0] = '\0';
+    return true;
 }
 
-/* Removes one leftover of |folder|; true when there was one. */
+/* Removes one leftover of |folder|; true when there was one. A flipped bit in a file's pointers
+ * hides which blocks are free: without that file the store can be written again. */
 static bool remove_leftover(store_t *store, const char *folder) {
-    leftover_t leftover = {.folder = folder};
+    uint32_t free_bytes = 0;
+    leftover_t leftover = {.store = store, .folder = folder};
+    leftover.unlinked = !store_find_free(store, &free_bytes);
     (void)store_walk(store, folder, 0, note_leftover, &leftover);
     return leftover.path[0] != '\0' && store_remove(store, leftover.path) == STORE_OK;
 }
@@ -64,6 +74,21 @@ static bool remove_leftover(store_t *store, const char *folder) {
 static store_result_t make_folder(store_t *store, const char *path) {
     const int code = lfs_mkdir(&store->lfs, path);
     return code == LFS_ERR_EXIST ? STORE_OK : store_written(store, code);
+}
+
+/* littlefs hands out the raw blocks no more, unless an earlier firmware left files in them: then
+ * they stay readable, and blockdev.c refuses to program them. */
+static void reserve_raw(store_t *store) {
+    lfs_t *lfs = &store->lfs;
+    store_usage_t usage;
+    store->config.compact_thresh = blockdev_compact_bytes(store->hal);
+    store->raw_taken = store_find_usage(store, &usage) ? usage.raw_taken : UINT8_MAX;
+    if (store->raw_taken == 0) {
+        lfs->block_count = store_data_blocks(store->hal);
+        lfs->lookahead.start %= lfs->block_count;
+        lfs->lookahead.next = lfs->lookahead.size = 0;
+        lfs->lookahead.ckpoint = (lfs_block_t)lfs->block_count;
+    }
 }
 
 store_result_t store_finish(store_t *store) {
@@ -80,22 +105,10 @@ store_result_t store_finish(store_t *store) {
         for (uint32_t i = 0; i < STORE_BLOCKS_MAX && remove_leftover(store, folders[f]); i++) {
         }
     }
-    return store->mounted ? result : STORE_IO;
-}
-
-/* littlefs hands out the raw blocks no more, unless an earlier firmware left files in them: then
- * they stay readable, and blockdev.c refuses to program them. */
-static void reserve_raw(store_t *store) {
-    lfs_t *lfs = &store->lfs;
-    store_usage_t usage;
-    store->config.compact_thresh = blockdev_compact_bytes(store->hal);
-    store->raw_taken = store_find_usage(store, &usage) ? usage.raw_taken : UINT8_MAX;
-    if (store->raw_taken == 0) {
-        lfs->block_count = store_data_blocks(store->hal);
-        lfs->lookahead.start %= lfs->block_count;
-        lfs->lookahead.next = lfs->lookahead.size = 0;
-        lfs->lookahead.ckpoint = (lfs_block_t)lfs->block_count;
+    if (store->raw_taken == UINT8_MAX) { /* it could not be seen before */
+        reserve_raw(store);
     }
+    return store->mounted ? result : STORE_IO;
 }
 
 static bool is_power_of_two(uint32_t value) { return value != 0 && (value & (value - 1u)) == 0; }

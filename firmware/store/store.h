@@ -28,7 +28,8 @@ store_result_t store_fits(const hal_t *hal);
  * filesystem counts as unfinished, and whoever finds it after a cut may save them again.
  *
  * store_finish makes /trials and /in and removes what a cut left behind: halves of a store_replace
- * and trial files without content. A flash that is full or cannot be written stays mounted, so that
+ * and trial files without content; where littlefs cannot see which blocks are free, also the files
+ * whose blocks it cannot find. A flash that is full or cannot be written stays mounted, so that
  * the trials on it can be read. */
 store_result_t store_find(store_t *store, hal_t *hal);
 store_result_t store_renew(store_t *store, hal_t *hal, const uint8_t *keep);

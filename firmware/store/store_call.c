@@ -87,6 +87,37 @@ int store_open_short(store_t *store, lfs_file_t *file, struct lfs_file_config *c
     return lfs_file_opencfg(&store->lfs, file, path, flags, config);
 }
 
+/* Number of a file's last block. Block n begins with as many pointers as n has factors of two, and
+ * one more; block 0 with none. */
+static uint32_t last_block(uint32_t size_bytes, uint32_t block_bytes) {
+    uint32_t number = 0;
+    for (uint32_t room = block_bytes; room < size_bytes && number < STORE_BLOCKS_MAX;) {
+        number++;
+        room += block_bytes - 4u * ((uint32_t)__builtin_ctz(number) + 1u);
+    }
+    return number;
+}
+
+bool store_is_linked(store_t *store, const char *path) {
+    lfs_file_t file;
+    struct lfs_file_config config = {0};
+    if (store_open_short(store, &file, &config, path, LFS_O_RDONLY) < 0) {
+        return true;
+    }
+    lfs_block_t block = file.ctz.head;
+    const bool in_folder = (file.flags & LFS_F_INLINE) != 0;
+    uint32_t number = in_folder ? 0 : last_block(file.ctz.size, store_block_bytes(store->hal));
+    (void)lfs_file_close(&store->lfs, &file);
+    while (number > 0 && block < store->lfs.block_count) {
+        lfs_block_t before[2];
+        const uint32_t step = 2u - number % 2u;
+        (void)store->config.read(&store->config, block, 0, before, step * sizeof before[0]);
+        block = before[step - 1u];
+        number -= step;
+    }
+    return in_folder || block < store->lfs.block_count;
+}
+
 bool store_find_free(store_t *store, uint32_t *bytes) {
     store_usage_t usage;
     const bool found = store_find_usage(store, &usage);

@@ -35,6 +35,10 @@ store_result_t store_result(int code);
 /* The same for a call that wrote: counts failures. */
 store_result_t store_written(store_t *store, int code);
 
+/* Whether littlefs finds from a file's last block to its first, as it must to see which blocks are
+ * free. True for what is no file. */
+bool store_is_linked(store_t *store, const char *path);
+
 /* Free bytes in whole blocks, and whether the filesystem can be walked; 0 where it cannot. */
 bool store_find_free(store_t *store, uint32_t *bytes);
 

@@ -338,11 +338,13 @@ static void test_oldest_trials_go_first_and_the_kept_one_stays(void) {
 }
 
 /* littlefs finds free blocks by walking through all files: where that fails it knows of none. */
-static void test_a_store_that_cannot_be_walked_loses_no_logs(void) {
+static void test_a_store_that_cannot_be_walked_loses_only_what_hinders_it(void) {
     fill_random(bytes, sizeof bytes);
     char path[STORE_PATH_BYTES];
+    uint32_t free_bytes = 0;
     for (uint32_t n = 1; n <= 3; n++) {
         trial_path(n, path);
+        free_bytes = store_free_bytes(&store);
         TEST_ASSERT_EQUAL_INT(STORE_OK, store_open(&store, &file, path, STORE_WRITE_NEW));
         for (uint32_t done = 0; done < 3u * BLOCK_BYTES; done += TRIAL_FILE_BYTES) {
             TEST_ASSERT_EQUAL_INT(STORE_OK, store_append(&store, &file, bytes, TRIAL_FILE_BYTES));
@@ -353,11 +355,13 @@ static void test_a_store_that_cannot_be_walked_loses_no_logs(void) {
     const uint32_t last = file.file.ctz.head;
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_close(&store, &file));
     memset(hal.flash + last * BLOCK_BYTES, 0x7F, 8); /* pointers to the blocks before it */
-    remount();
+    store.lfs.rcache.block = UINT32_MAX;
     TEST_ASSERT_EQUAL_UINT32(0, store_free_bytes(&store));
     TEST_ASSERT_EQUAL_INT(STORE_IO, store_make_space(&store, 20480, 0));
     TEST_ASSERT_EQUAL_UINT32(3, count_entries("/trials"));
-    TEST_ASSERT_EQUAL_INT(STORE_OK, store_remove(&store, path));
+    remount();
+    TEST_ASSERT_EQUAL_UINT32(2, count_entries("/trials"));
+    TEST_ASSERT_EQUAL_UINT32(free_bytes, store_free_bytes(&store));
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_make_space(&store, 20480, 0));
     TEST_ASSERT_EQUAL_UINT32(2, count_entries("/trials"));
 }
@@ -603,7 +607,7 @@ int main(void) {
     RUN_TEST(test_random_operations_against_a_model);
     RUN_TEST(test_space_does_not_leak_over_many_trials);
     RUN_TEST(test_oldest_trials_go_first_and_the_kept_one_stays);
-    RUN_TEST(test_a_store_that_cannot_be_walked_loses_no_logs);
+    RUN_TEST(test_a_store_that_cannot_be_walked_loses_only_what_hinders_it);
     RUN_TEST(test_what_is_sent_leaves_the_board_its_blocks);
     RUN_TEST(test_full_flash_refuses_and_keeps_the_old);
     RUN_TEST(test_a_store_filled_to_the_last_block);
