@@ -27,9 +27,9 @@ TEST_CPU_MAX_S := 1200
 # For what takes long on purpose: no limits of time (tests/conftest.py).
 UNLIMITED := -o faulthandler_timeout=0
 
-# Without what it has compiled kept, each process compiles all tests anew, for 15 s.
-# One process more than cores: the tests of the page, and of a board in real time, mostly wait.
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $$(($$(nproc) + 1)) --dist worksteal
+# Without what it has compiled kept, each process compiles all tests anew, for 15 s. One process more
+# than cores would take 15 s more: each collects all tests and makes its own fixtures.
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $$(nproc) --dist worksteal
 
 .PHONY: help demo test image qemu soak bench firmware sbom flash size check docs dist clean lock bootstrap package \
 	unit host_tests coverage toolchain fuzz bench_programs conformance_programs smartfusion2
@@ -49,7 +49,7 @@ image: package firmware smartfusion2 conformance_programs ## only the tests of t
 	@tools/bootstrap image
 	@$(PYTEST) tests/image
 
-host_tests: package firmware bench_programs # the host tool, the whole system, and bench/ with a tiny load
+host_tests: package firmware # the host tool, the whole system, and bench/ with a tiny load
 	@tools/bootstrap test
 	@$(PYTEST) tests/host tests/system
 

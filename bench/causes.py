@@ -73,7 +73,7 @@ class Load:
     references: tuple[str, ...] = ("thesis", "feasible")
 
 
-FULL, TINY = Load(1), Load(1, ((), (C.SATURATION,)), ("tank",), ("thesis",))
+FULL = Load(1)
 
 
 def settings_of(plant: str, seed: int) -> dict[str, float]:

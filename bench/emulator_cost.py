@@ -52,7 +52,6 @@ class Load:
 
 
 FULL = Load(places=12, place_instructions=4000, repeats=20, rounds=9, round_s=0.5, beats=40)
-TINY = Load(places=2, place_instructions=100, repeats=2, rounds=1, round_s=0.05, beats=3)
 
 
 @dataclass(frozen=True)

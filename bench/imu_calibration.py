@@ -34,13 +34,12 @@ REST_S = 3.0
 
 @dataclass(frozen=True)
 class Load:
-    """How much is measured; ``judged``: goals count."""
+    """How much is measured."""
 
     sensors: int
-    judged: bool
 
 
-FULL, TINY = Load(100, judged=True), Load(2, judged=False)
+FULL = Load(100)
 
 
 def turned(seed: int, world: dict[str, float], rests: int = 0) -> tuple[ImuCalibration, int, float]:
@@ -87,7 +86,7 @@ def main(load: Load = FULL, first_seed: int | None = None) -> int:
         f"  afterwards {100 * scale_part:.4f} % RMS and {math.degrees(across_rad):.4f} degrees;"
         f" scales in 2 sigma {inside:.1%}; {rests:.0f} rests, {duration_s:.0f} s"
     )
-    return int(load.judged and not COVERED[0] <= inside <= COVERED[1])
+    return int(not COVERED[0] <= inside <= COVERED[1])
 
 
 if __name__ == "__main__":

@@ -29,13 +29,12 @@ COVERED, SIGMA_OVER_RMS = (0.90, 0.99), 1.5
 
 @dataclass(frozen=True)
 class Load:
-    """How much is measured; ``judged``: goals count."""
+    """How much is measured."""
 
     swims: int
-    judged: bool
 
 
-FULL, TINY = Load(300, judged=True), Load(2, judged=False)
+FULL = Load(300)
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ def report(figures: Figures, load: Load) -> int:
         f" {share:9.1%} ({low:.1%} to {high:.1%}) {unmeasured:6} of {figures.error.size}"
     )
     well = COVERED[0] <= share <= COVERED[1] and sigma <= SIGMA_OVER_RMS * rms
-    return int(load.judged and not well)
+    return int(not well)
 
 
 def main(load: Load = FULL, first_seed: int | None = None) -> int:

@@ -55,7 +55,7 @@ class Load:
     repeats: tuple[int, int]
 
 
-FULL, TINY = Load(STREAMS, (10, 60)), Load(STREAMS[-1:], (1, 2))
+FULL = Load(STREAMS, (10, 60))
 
 
 def count(mode: str, repeats: int) -> tuple[int, int]:

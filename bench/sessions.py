@@ -59,7 +59,7 @@ class Load:
     kinds: tuple[str, ...] = (TANK, "mild", "realistic")
 
 
-FULL, TINY = Load(4), Load(1, (TANK,))
+FULL = Load(4)
 
 
 @dataclass

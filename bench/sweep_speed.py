@@ -60,7 +60,6 @@ class Load:
 FULL = Load(
     fish=1000, turns=5, sweep_turns=2, bare_swims=15, iterations=12, seeds=250, cells=24, cores=2
 )  # fmt: skip
-TINY = Load(fish=8, turns=1, sweep_turns=1, bare_swims=1, iterations=2, seeds=250, cells=4, cores=1)
 
 
 def trials_per_s(work: Callable[[], object], trials: int) -> float:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import functools
+import pickle
 import secrets
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ import typer.main
 from tailbeat.app.cli._terminal import json_asked
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
+from tailbeat.learning import belief, error_bound, fit
 from tailbeat.link.impaired import Corrupt, Drop, Duplicate, Fault, ImpairedLine
 from tailbeat.link.transport import Transport
 
@@ -23,6 +27,27 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's backgro
 
 # A process runs one command, the tests a thousand: to build them all takes 0.2 s each time.
 typer.main.get_command = functools.cache(typer.main.get_command)
+
+
+def _once(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, computed once for the same arguments: many tests have the same fish."""
+    known: dict[bytes, Any] = {}
+
+    @functools.wraps(function)
+    def remembered(*arguments: Any, **named: Any) -> Any:
+        try:
+            key = pickle.dumps((arguments, named))
+        except (TypeError, AttributeError, ValueError):  # a simulated plant
+            return function(*arguments, **named)
+        if key not in known:
+            known[key] = function(*arguments, **named)
+        return copy.deepcopy(known[key])
+
+    return remembered
+
+
+error_bound.minimax = _once(error_bound.minimax)  # type: ignore[attr-defined]
+belief.fit_robust = fit.fit_robust = _once(fit.fit_robust)  # type: ignore[attr-defined]
 
 FRAME_BYTES = 60  # of a usual one, for odds given per frame
 
@@ -113,3 +138,18 @@ def ready(fish: Fish, reference: bytes) -> Fish:
     fish.params.set("ILC_LEAD", 1)
     fish.upload_reference(reference)
     return fish
+
+
+@pytest.fixture(autouse=True)
+def _unpainted(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made, but not painted, but for the tests that are about pictures: else painting
+    them is a tenth of all."""
+    if request.node.get_closest_marker("painted") is None:
+        monkeypatch.setattr("matplotlib.figure.Figure.savefig", _nothing_painted)
+
+
+def _nothing_painted(_: object, out: IO[bytes] | str | Path, **__: object) -> None:
+    if isinstance(out, (str, Path)):
+        Path(out).write_bytes(b"unpainted")
+    else:
+        out.write(b"unpainted")

@@ -64,6 +64,7 @@ def test_iteration_0_is_listed_but_not_swum(tank: tuple[DemoResult, Path]) -> No
     assert (first.iteration, first.duration_s, first.end) == (1, 40, "complete")
 
 
+@pytest.mark.painted
 def test_folder_is_an_experiment_with_a_report(
     tank: tuple[DemoResult, Path], tmp_path: Path
 ) -> None:
@@ -80,6 +81,7 @@ def test_folder_is_an_experiment_with_a_report(
     assert "simulated" in page and "sim-tank learns the thesis speed profile" in page
 
 
+@pytest.mark.painted
 def test_both_laws_on_the_same_fish(tmp_path: Path) -> None:
     """The same number of runs each; measuring the fish counts."""
     seen: list[float] = []

@@ -458,6 +458,7 @@ def test_the_command_passes_4_and_refuses_10(csv: str, capsys: pytest.CaptureFix
     assert "forced" in capsys.readouterr().out
 
 
+@pytest.mark.painted
 def test_the_command_says_it_in_ten_lines_and_a_picture(
     csv: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -504,6 +504,7 @@ def test_parameters_last_and_others_do_not(learned: Fish, board: SimBoard) -> No
     assert learned.params.get("ILC_GAIN").value == 4.0
 
 
+@pytest.mark.painted
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture, file = tmp_path / "fish.png", tmp_path / "fish.json"
     line = [

@@ -155,6 +155,7 @@ def test_a_fish_that_cannot_be(field: str, value: float) -> None:
         identify_table(np.array([0.4, 0.8]), np.array([0.05, 0.13]), ThesisFish(**{field: value}))
 
 
+@pytest.mark.painted
 def test_a_picture(table_8_1: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "map.png"
     assert run(["session", "identify", "--table", str(table_8_1), "--plot", str(picture)]) == 0

@@ -69,6 +69,7 @@ def recorded(board: SimBoard, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.painted
 def test_a_folder_of_trials(recorded: Path, tailbeat: Run, tmp_path: Path) -> None:
     png = tmp_path / "p.png"
     out, err = tailbeat(

@@ -43,6 +43,8 @@ from tailbeat.session.trial import run_trial
 
 from .. import made_analyses as made
 
+pytestmark = pytest.mark.painted
+
 MODULES = {"learning": learning, "trials": trials, "contraction": contraction}
 COLUMN_MM = 88.9
 NOON = datetime(2026, 5, 4, 12, 0)

@@ -178,6 +178,7 @@ def test_the_document(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     }  # fmt: skip
 
 
+@pytest.mark.painted
 def test_text_fits_a_hundred_columns(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["sim", "thesis", "--cores", "1", "--figures", str(stubs / "new" / "drawn")]) == 0
     shown = capsys.readouterr().out
@@ -396,6 +397,7 @@ def test_a_process_that_dies_is_told(stubs: Path) -> None:
     assert "a process that computed examples has died" in done.stderr
 
 
+@pytest.mark.painted
 def test_a_real_example(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ("ch8-sim-4", "--iterations", "6", "--paper", str(tmp_path))
     (found,) = document(capsys, *words)["examples"]

@@ -843,6 +843,7 @@ def test_the_printed_apriltag_by_another_library() -> None:
     assert edges.mean() / per_mm == pytest.approx(50.0, abs=0.2)
 
 
+@pytest.mark.painted
 def test_pages_have_their_true_size(tmp_path: Path) -> None:
     for paper, (width, height) in PAPERS_MM.items():
         path = tmp_path / f"{paper}.pdf"
@@ -1019,6 +1020,7 @@ def test_words_that_do_not_go_together(files: Path, words: tuple[Any, ...], told
     assert not (files / "tank.json").exists()
 
 
+@pytest.mark.painted
 def test_print(files: Path) -> None:
     told = json.loads(run("print", "marker", "--id", 9, "--side", 40, "--json").stdout)
     assert told["file"] == "marker.pdf" and "id 9, black square 40 mm" in told["text"]

@@ -164,6 +164,7 @@ def test_without_a_trial_it_tells_the_led_s_number(
     assert {row["trial"] for row in rows(out / "speed.csv")} == {""}
 
 
+@pytest.mark.painted
 def test_overlay_and_plot_on_request(film: Exercise, tmp_path: Path) -> None:
     out = tmp_path / "swim"
     assert track(film, out, "--overlay", "--plot", *SHORT) == 0

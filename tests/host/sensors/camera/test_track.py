@@ -468,6 +468,7 @@ def hues(path: Path, box: tuple[slice, slice]) -> list[int]:
 SPEED_PANEL = (slice(750, 1015), slice(110, 1360))
 
 
+@pytest.mark.painted
 def test_picture(tmp_path: Path) -> None:
     """1400 x 1100 pixels; the speed's line is whole, or has a hole where the fish was lost."""
     hole = set(range(40, 60))
@@ -483,6 +484,7 @@ def test_picture(tmp_path: Path) -> None:
     assert {p.suffix for p in tmp_path.iterdir()} == {".png"}
 
 
+@pytest.mark.painted
 def test_picture_is_to_scale(tmp_path: Path) -> None:
     """A square basin is a square, and y goes down, as in the camera's pictures."""
     found = track_of(
@@ -503,6 +505,7 @@ def test_picture_is_to_scale(tmp_path: Path) -> None:
     assert last[0] > first[0]
 
 
+@pytest.mark.painted
 def test_labels_on_a_short_way_do_not_lie_on_each_other(tmp_path: Path) -> None:
     """All dots of a way of some pixels: only the first label is there; over metres all are."""
     area = np.array([[-1.0, -1.0], [8.0, -1.0], [8.0, 1.0], [-1.0, 1.0]])

@@ -571,6 +571,7 @@ def test_an_interval_is_that_of_other_fish() -> None:
     assert judge(against, rows).interval == pytest.approx((3, 3))
 
 
+@pytest.mark.painted
 def test_the_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

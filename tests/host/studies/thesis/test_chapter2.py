@@ -275,6 +275,7 @@ def test_a_plant_that_learns_flips_the_verdict_on_example_2() -> None:
     assert verdicts("ch2-ex2", SUBSTITUTE)[1] == READING
 
 
+@pytest.mark.painted
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_figures(name: str, tmp_path: Path) -> None:

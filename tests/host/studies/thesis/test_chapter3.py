@@ -361,6 +361,7 @@ def test_verdicts_follow_the_computation() -> None:
     assert coarse(EXAMPLES["ch3-fish"], kp=0.1).judge()[0].verdict == NOT_CONFIRMED
 
 
+@pytest.mark.painted
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_figures(name: str, tmp_path: Path) -> None:

@@ -399,6 +399,7 @@ def test_options_that_make_no_sense(options: dict[str, float]) -> None:
     assert caught.value.remedy
 
 
+@pytest.mark.painted
 def test_figures(tmp_path: Path) -> None:
     drawn = Study(EXAMPLE).draw(tmp_path)
     assert {f.name for f in drawn} >= {"Fig. 6.1", "Fig. 6.2", "Fig. 6.3"}

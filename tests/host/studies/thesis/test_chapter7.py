@@ -377,6 +377,7 @@ def test_a_delta_as_long_as_the_trial(delta: float) -> None:
         assert caught.value.remedy
 
 
+@pytest.mark.painted
 def test_figures(tmp_path: Path) -> None:
     drawn = []
     for example in chapter7.EXAMPLES:

@@ -335,6 +335,7 @@ def test_eighty_percent_can_fail() -> None:
     assert (claim.verdict, claim.measured) == (NOT_CONFIRMED, pytest.approx(1 - 0.9**6))
 
 
+@pytest.mark.painted
 def test_figures_are_drawn_once(tmp_path: Path) -> None:
     drawn = [figure for one in EXAMPLES for figure in Study(one).draw(tmp_path)]
     names = [figure.name for figure in drawn if figure.name]
