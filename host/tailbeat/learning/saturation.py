@@ -27,6 +27,10 @@ OVERSHOOT_RAD = 0.07
 SERVO_MOST_RAD = 1.0471976  # its mechanical range, and AMP_MAX_RAD's
 GRAIN_RAD = 0.01  # limits are multiples of it
 _DIGITS = 6  # so that a limit is the number that is read and typed: 69 * 0.01 is not 0.69
+SLOWER_BOARD = (
+    "tailbeat reference show --csv reference.csv, then tailbeat reference check reference.csv"
+    " --suggest"
+)
 _WEAK_TAIL = 97.5  # of the models as likely
 _AT_LIMIT = 1e-6  # of the limit: an amplitude in single precision
 _SLOWEST_M_S = 0.005
@@ -107,15 +111,16 @@ def saturation_next(
 
 
 def expected_saturation(
-    known: KnownFish, reference: Reference, params: Mapping[str, float]
+    known: KnownFish, reference: Reference, params: Mapping[str, float], slower: str = SLOWER_BOARD
 ) -> Saturation | None:
     """Before a trial of the reference: what its best input meets at the limit. None: it does not.
-    ``params``: AMP_MAX_RAD, and the servo's where they are known."""
+    ``params``: AMP_MAX_RAD, and the servo's where they are known. ``slower``: what makes a slower
+    reference of this one; default: of the board's."""
 
     limit = params["AMP_MAX_RAD"]
     best = plan(known.identified.model, reference.speed_m_s, reference.beat_s, limit)
     count = at_limit(best.amplitude_rad.astype(np.float32), limit)
-    return _judged(count, reference.beats, reference, params, known, expected=True)
+    return _judged(count, reference.beats, reference, params, known, slower, expected=True)
 
 
 def at_limit(amplitude_rad: ArrayLike, limit_rad: float) -> int:
@@ -166,6 +171,7 @@ def _judged(
     reference: Reference,
     params: Mapping[str, float],
     known: KnownFish | None,
+    slower: str = SLOWER_BOARD,
     expected: bool = False,
 ) -> Saturation | None:
     limit = params["AMP_MAX_RAD"]
@@ -177,21 +183,15 @@ def _judged(
             return None
         need, basis = needed_rad(known.identified, reference), known.basis
         words = f"the reference needs about {up_to_grain(need):.2f} ({basis})"
-        action = _action(reference, params, known, need, learned=not expected)
+        slower = _slower(reference, limit, known, slower, learned=not expected)
+        action = _action(params, need, slower)
     words = f"{count} of {trial_beats} beats at the limit {limit:.2f} rad; {words}"
     return Saturation(count, trial_beats, limit, need, basis, words, action, expected)
 
 
-def _action(
-    reference: Reference,
-    params: Mapping[str, float],
-    known: KnownFish,
-    need: float,
-    learned: bool,
-) -> str:
+def _action(params: Mapping[str, float], need: float, slower: str) -> str:
     limit = params["AMP_MAX_RAD"]
     servo = servo_rad(params) if all(name in params for name in _SERVO) else SERVO_MOST_RAD
-    slower = _slower(reference, limit, known, learned)
     to = min(up_to_grain(need), down_to_grain(servo))
     if to < limit + GRAIN_RAD / 2:
         return f"The servo turns {servo:.2f} rad at most. Use a slower reference: {slower}"
@@ -201,8 +201,10 @@ def _action(
     )
 
 
-def _slower(reference: Reference, limit: float, known: KnownFish, learned: bool) -> str:
-    """A command that gives the board one within the limit."""
+def _slower(
+    reference: Reference, limit: float, known: KnownFish, by_check: str, learned: bool
+) -> str:
+    """A command that gives the board one within the limit, else ``by_check``."""
     if reference.crc == thesis().crc:
         more = _best_rad(known.identified, reference) - hold_rad(known.identified, reference)
         speed = float(known.identified.model.steady_m_s(limit - GRAIN_RAD - max(more, 0.0)))
@@ -211,7 +213,4 @@ def _slower(reference: Reference, limit: float, known: KnownFish, learned: bool)
             like = " --warm-start board" if learned else ""
             return f"tailbeat reference upload thesis:{speed:g},{reference.duration_s:g}{like}"
     first = "" if known.identified.source == "runs" else "tailbeat session identify, then "
-    return (
-        f"{first}tailbeat reference show --csv reference.csv, then tailbeat reference check"
-        " reference.csv --suggest"
-    )
+    return first + by_check

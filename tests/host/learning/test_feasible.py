@@ -194,6 +194,11 @@ def test_check_without_a_board(file: Path, capsys: pytest.CaptureFixture[str]) -
     assert told.endswith("the L2-optimal input leaves 11.3")
     assert where == "  beats 37-39: up to 11.3 mm/s too fast: drag alone slows it"
     assert "--suggest" in hint
+    fast = ("trapezoid:0.09,8,10", "--identified", str(file), "--amp-max", "0.5")
+    assert check(*fast) == 0
+    (saturation,) = (s for s in capsys.readouterr().out.splitlines() if s.startswith("saturation"))
+    assert "reference.csv" not in saturation, "the board's, which was not asked"
+    assert saturation.endswith(f"tailbeat reference check {' '.join(fast)} --suggest")
 
 
 def test_check_suggests(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -226,9 +226,10 @@ def check(
         found = error_bound_range(known.identified, reference, limit, slew)
         bound_lines = _bound_lines(found, known.identified.assumed)
     if known.fish is not None:
-        saturation = expected_saturation(known.fish, reference, {"AMP_MAX_RAD": limit})
+        slower = "the suggested one" if suggest else f"{command_typed()} --suggest"
+        saturation = expected_saturation(known.fish, reference, {"AMP_MAX_RAD": limit}, slower)
     suggestion = _suggested(reference, known) if suggest else None
-    beyond = found is not None and found.bound.lsq_max_abs_m_s > _BOUND_FINE_M_S
+    beyond = found is not None and found.bound.lsq_max_abs_m_s > _BOUND_FINE_M_S and not saturation
     document = _document(reference, problems) | {
         "floor": found and _bound_document(found),
         "saturation": saturation,
