@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from tailbeat.app.demo import DemoOptions, DemoResult, Progress, address_of, run_demo
@@ -75,7 +76,9 @@ def run_both(options: DemoOptions, progress: Progress = lambda done, text: None)
 
 def _start(options: DemoOptions, folder: Path, progress: Progress) -> tuple[int, Experiment]:
     """(runs that measured the fish, the experiment of its trials)."""
-    with Fish.connect(address_of(options), **options.overrides) as fish:
+    url, overrides = address_of(options), options.overrides
+    with TemporaryDirectory() as library, Fish.connect(url, **overrides) as fish:
+        fish.library_root = Path(library)  # unknown, whatever TAILBEAT_LOGBOOK has of it
         operator = _Agrees(progress, options.trials)
         series = Options(until=Until(max(1, options.trials - MEASURING_RUNS)), typed="demo")
         end = run_start(fish, operator, StartOptions(series=series), lambda: begin(fish, folder))

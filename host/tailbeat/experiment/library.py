@@ -25,7 +25,7 @@ from tailbeat.core.files import write_whole
 from tailbeat.core.platform.files import sync_folder
 from tailbeat.core.reference import Reference
 from tailbeat.experiment.library_folder import FOLDER_VARIABLE as FOLDER_VARIABLE
-from tailbeat.experiment.library_folder import folder_of, library_folder
+from tailbeat.experiment.library_folder import folder_of, has_library, library_folder
 from tailbeat.experiment.store import Kept, TrialStore, read_kept, trial_content
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
@@ -204,7 +204,7 @@ def library_of(fish: Fish, root: Path | None = None) -> TrialLibrary | None:
 def some_library(fish: Fish) -> Iterator[None]:
     """Gives a simulated fish in this process, which has none, a trial library for the length of a
     block."""
-    if library_of(fish) is not None:
+    if has_library(fish):
         yield
         return
     with TemporaryDirectory() as folder:

@@ -11,13 +11,17 @@ from tailbeat.core.errors import InputError
 FOLDER_VARIABLE = "TAILBEAT_LOGBOOK"
 
 
+def has_library(fish: Fish) -> bool:
+    """Whether there is one of a connected board, without asking it: not of a simulated one in this
+    process, which is a new fish every time, unless a folder is named."""
+    return fish.sim is None or fish.library_root is not None or FOLDER_VARIABLE in os.environ
+
+
 def library_folder(fish: Fish, root: Path | None = None) -> Path | None:
-    """Of a connected board. None for a simulated one in this process, which is a new fish every
-    time, unless a folder is named. Raises InputError."""
-    root = root or fish.library_root
-    if fish.sim is not None and root is None and FOLDER_VARIABLE not in os.environ:
+    """Of a connected board. None where it has no library. Raises InputError."""
+    if root is None and not has_library(fish):
         return None
-    return folder_of(fish.unique_id(), root)
+    return folder_of(fish.unique_id(), root or fish.library_root)
 
 
 def folder_of(unique_id: str, root: Path | None = None) -> Path:

@@ -64,9 +64,8 @@ class Change:
 class Belief:
     """``trials``: those that count, without the identification's. ``refuted_in_a_row``: so many of
     the last ones nothing explains. ``chance``: of the last trial, by the prediction that was made
-    for it; ``explanation``: of it, a kind of ``explanation``. ``weights``: of all trials, the
-    identification's first. ``changes``: lasting ones, oldest first. ``before``: without the last
-    trial."""
+    for it. ``weights``: of all trials, the identification's first. ``changes``: lasting ones,
+    oldest first. ``before``: without the last trial."""
 
     identified: Identified
     scatter: Scatter
@@ -76,7 +75,6 @@ class Belief:
     spoilt: tuple[bool, ...] = ()
     refuted_in_a_row: int = 0
     chance: float = 1.0
-    explanation: str = "regular"
     changes: tuple[Change, ...] = ()
     before: Belief | None = None
     _filtered: dict[tuple[int, int], tuple[F64, F64, F64 | None]] = field(
@@ -290,7 +288,6 @@ class Belief:
             trials=(*self.trials, *trials),
             spoilt=(*self.spoilt, *spoilt),
             changes=changes,
-            explanation=found.kind,
             refuted_in_a_row=refuted,
             chance=chance,
             before=before,

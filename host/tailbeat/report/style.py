@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import textwrap
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,8 +32,6 @@ mpl_patches: Any = lazy("matplotlib.patches")
 mpl_ticker: Any = lazy("matplotlib.ticker")
 _agg: Any = lazy("matplotlib.backends.backend_agg")
 _style: Any = lazy("matplotlib.style")
-
-Draw = Callable[[Sequence[Analysis], "Style"], Figure]
 
 TEXT_PT_MIN = 6.0  # what journals ask for, as printed
 INK, GREY, FAINT, BAND, GRID = "0.10", "0.40", "0.62", "0.87", "0.93"

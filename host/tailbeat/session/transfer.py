@@ -23,7 +23,13 @@ from tailbeat.board.snapshot import Snapshot, new_folder
 from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
-from tailbeat.core.records import decode_learned, decode_reference, record_crc
+from tailbeat.core.records import (
+    INPUT_FIRST,
+    INPUT_UPLOADED,
+    decode_learned,
+    decode_reference,
+    record_crc,
+)
 from tailbeat.core.reference import Reference, ReferenceLimits
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import named_reference
@@ -35,7 +41,6 @@ from tailbeat.learning.identification import Identified
 from tailbeat.learning.transfer import TOLERANCE, Similarity, Transferred, similarity, transfer
 from tailbeat.session.identify import MODEL_PARAMS
 
-INPUT_LAW, INPUT_FIRST, INPUT_UPLOADED, INPUT_RESTORED = range(4)  # memory_input_t
 _NOTHING = "Leave out --warm-start, and the fish learns afresh; or name a trial or an experiment."
 
 

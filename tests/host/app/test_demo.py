@@ -82,8 +82,10 @@ def test_folder_is_an_experiment_with_a_report(
 
 
 @pytest.mark.painted
-def test_both_laws_on_the_same_fish(tmp_path: Path) -> None:
-    """The same number of runs each; measuring the fish counts."""
+def test_both_laws_on_the_same_fish(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same number of runs each; measuring the fish counts. The trial libraries of the user
+    have nothing of it: a second demo finds the fish as unknown as the first did."""
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "library"))
     seen: list[float] = []
     both = run_both(DemoOptions(trials=4, out=tmp_path), lambda done, _: seen.append(done))
     assert seen == sorted(seen) and seen[-1] == 1.0
@@ -95,6 +97,7 @@ def test_both_laws_on_the_same_fish(tmp_path: Path) -> None:
     assert both.runs[1].run_of(both.runs[1].best) == 4
     assert both.figure.read_bytes().startswith(b"\x89PNG")
     assert all(report.is_file() for report in both.reports)
+    assert not (tmp_path / "library").exists()
 
 
 def test_same_seed_same_run(tank: tuple[DemoResult, Path], tmp_path: Path) -> None:

@@ -30,7 +30,6 @@ from tailbeat.link.transport import Transport
 from tailbeat.sensors.vn100.decode import Binary, Message, Reader
 
 VERDICT_S = 5.0
-DEFAULT_RATE_HZ = 100
 STATES = ("searching", "configuring", "waiting", "streaming")
 
 _WRITE = "VNWRG,"
