@@ -89,10 +89,23 @@ class TrialEnded:
 
 
 @dataclass(frozen=True)
+class InputChosen:
+    """What makes the next input. ``law``: ``p`` (the board's own step), ``model``, or ``best`` (the
+    best input so far). ``why``: the reason, in words. ``expected_m_s``: 5 %, median and 95 % of its
+    max|e| by the model; None: nobody knows."""
+
+    law: str
+    why: str
+    expected_m_s: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
 class TrialRecorded:
-    """The trial's log is in the experiment; a decision follows."""
+    """The trial's log is in the experiment; a decision follows. ``made``: what made its input;
+    None: not known."""
 
     record: RecordedTrial
+    made: InputChosen | None = None
 
 
 @dataclass(frozen=True)
@@ -123,17 +136,6 @@ class StepEnded:
     name: str
     done: bool
     words: str
-
-
-@dataclass(frozen=True)
-class InputChosen:
-    """What makes the next input. ``law``: ``p`` (the board's own step), ``model``, or ``best`` (the
-    best input so far). ``why``: the reason, in words. ``expected_m_s``: 5 %, median and 95 % of its
-    max|e| by the model; None: nobody knows."""
-
-    law: str
-    why: str
-    expected_m_s: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)

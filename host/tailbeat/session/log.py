@@ -148,6 +148,15 @@ class SessionLog:
         """What makes the input of ``trial``, which comes next."""
         self.journal.add("input", trial=trial, **asdict(chosen))
 
+    def chosen_for(self, trial: int) -> InputChosen | None:
+        """What makes the input of a trial; None: it is not known."""
+        entries = reversed(self.journal.entries("input"))
+        found = next((entry for entry in entries if entry["trial"] == trial), None)
+        if found is None:
+            return None
+        expected = found.get("expected_m_s")
+        return InputChosen(found["law"], found["why"], expected and tuple(expected))
+
     def diagnosed(self, found: TrialDiagnosed) -> None:
         """What explains a trial's error."""
         self.journal.add(
@@ -307,11 +316,8 @@ class SessionLog:
         return drains
 
     def _last(self, kinds: tuple[str, ...]) -> Entry | None:
-        found = None
-        for entry in self.journal.entries():
-            if entry["what"] in kinds:
-                found = entry
-        return found
+        entries = reversed(self.journal.entries())
+        return next((entry for entry in entries if entry["what"] in kinds), None)
 
 
 def _drain(entry: Mapping[str, Any], trial: Trial | None) -> list[Drain]:

@@ -70,14 +70,11 @@ class NextLaw:
 
     def _uploaded(self, held: Amplitudes) -> InputChosen | None:
         """What the event log has of an uploaded input; None: it is another one."""
-        chosen, copy = self.log.journal.entries("input"), held_state(self.log.experiment)
-        if held.input != INPUT_UPLOADED or not chosen or copy is None or not copy.learned:
+        copy = held_state(self.log.experiment)
+        if held.input != INPUT_UPLOADED or copy is None or not copy.learned:
             return None
         same = decode_learned(copy.learned).amplitude_rad.tobytes() == held.values.tobytes()
-        if not same or chosen[-1]["trial"] != self.fish.status().next_trial:
-            return None
-        expected = chosen[-1].get("expected_m_s")
-        return InputChosen(chosen[-1]["law"], chosen[-1]["why"], expected and tuple(expected))
+        return self.log.chosen_for(self.fish.status().next_trial) if same else None
 
     def _repeated(self, held: Amplitudes) -> InputChosen | None:
         """Where the last decision was to execute the same amplitudes again, and the board still has

@@ -199,7 +199,7 @@ class _Series:
         if number is not None and (number == status.pending_trial or self._was_left(number)):
             where = "waits on the board" if number == status.pending_trial else "was left undecided"
             self._notice(f"trial {number} {where}; it is decided on first")
-            return self._finish_old(number)
+            return self._finish_old(number, begun and number == open_trial)
         last = open_trial is not None and open_trial >= status.next_trial - 1
         if last and status.fault.number == ABORT_COMMAND:
             fish.clear()  # it was stopped before its first beat, most likely from here
@@ -225,10 +225,11 @@ class _Series:
         accepted(fish, journal)
         return None
 
-    def _finish_old(self, number: int) -> SeriesEnd | None:
+    def _finish_old(self, number: int, begun_here: bool) -> SeriesEnd | None:
         fish = self.around.fish
+        made = self.log.chosen_for(number) if begun_here else None
         recorded = recover_trial(fish, self.log, number)
-        self.around.operator.tell(TrialRecorded(recorded))
+        self.around.operator.tell(TrialRecorded(recorded, made))
         status = fish.status()
         if recorded.measured_beats and number not in (
             status.pending_trial,
@@ -239,7 +240,7 @@ class _Series:
         status = fish.status()
         if dangerous(status.fault) and (end := self._cleared()) is not None:
             return end
-        return self._settle(recorded, decision, counts=False)
+        return self._settle(recorded, decision, made, counts=False)
 
     def _gone(self, recorded: RecordedTrial) -> None:
         """It could have been learned from, and does not wait any more: somebody has dropped it."""
@@ -325,7 +326,7 @@ class _Series:
             return swam
         recorded, by_hand = swam
         decision = self.decisions.decide(recorded)
-        end = self._settle(recorded, decision, counts=True)
+        end = self._settle(recorded, decision, self.chosen, counts=True)
         if end is None and recorded.outcome.end.endswith(f":{fault_info(REBOOT).name}"):
             fault = fault_info(REBOOT)
             words = f"trial {recorded.outcome.number}: {fault.meaning}. {fault.remedy}"
@@ -395,22 +396,21 @@ class _Series:
             return self.end("interrupted" if stopped == BY_HAND else "stopped", words)
         recorded = record_of(swam.outcome, keep_log(fish, experiment, number), ready, stopped)
         self.log.recorded(recorded)
-        self.around.operator.tell(TrialRecorded(recorded))
+        self.around.operator.tell(TrialRecorded(recorded, self.chosen))
         return recorded, stopped == BY_HAND
 
     def _settle(
-        self, recorded: RecordedTrial, decision: Decision, counts: bool
+        self, recorded: RecordedTrial, decision: Decision, made: InputChosen | None, counts: bool
     ) -> SeriesEnd | None:
         """Carries the decision out. An end when the board is left as it stopped."""
         done: DecisionResult = self.decisions.carry_out(recorded, decision)
         self.rounds.append(Round(recorded, decision, done.learned))
         self.counted += counts and decision.kind in self.options.counts
         if (learned := done.learned) is not None:
-            made_by = self.chosen.law if self.chosen is not None else ""
             self._choose(self.law.after(learned))
             operator, rolled_back = self.around.operator, learned.rolled_back
             self.verdict = assess_series(self.around.fish, operator, self.log, rolled_back)
-            diagnosed = self.law.diagnose_last(made_by)
+            diagnosed = self.law.diagnose_last(made.law if made is not None else "")
             if diagnosed is not None:
                 operator.tell(diagnosed)
                 self.rounds[-1] = replace(self.rounds[-1], causes=diagnosed.causes)

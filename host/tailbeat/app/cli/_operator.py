@@ -123,7 +123,6 @@ class TerminalOperator:
                 if event.law != self._law:
                     display.keep(result(event))
                 self._law = event.law
-                self.table.lines(event)
             case Assessed() if not event.stop:  # the table stays whole
                 (display.show if display.moves else display.keep)(event.words)
                 if event.saturation:

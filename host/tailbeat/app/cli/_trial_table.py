@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 from tailbeat.core.printable import mm
 from tailbeat.link.messages import LearnReport
-from tailbeat.session.events import Event, InputChosen, TrialDecided, TrialRecorded
-from tailbeat.session.outcome import RecordedTrial
+from tailbeat.session.events import Event, TrialDecided, TrialRecorded
 
 _ROW = "{:>5}  {:<5}  {:>12}  {:>6}  {:>6}  {:>8}  {:>7}  {}"
 HEADER = (
@@ -22,16 +21,13 @@ class TrialTable:
     from if it is kept. The law and what it predicts are those the input was chosen with."""
 
     _began: bool = False
-    _made: InputChosen | None = None
-    _record: RecordedTrial | None = None
+    _last: TrialRecorded | None = None
 
     def lines(self, event: Event) -> list[str]:
         """The lines that an event adds, the header before the first row."""
         match event:
-            case InputChosen():
-                self._made = event
-            case TrialRecorded(record):
-                self._record = record
+            case TrialRecorded():
+                self._last = event
             case TrialDecided(trial, decision) if decision.kind != "keep":
                 return self._rows(trial, decision.kind, None)
             case LearnReport():
@@ -40,9 +36,9 @@ class TrialTable:
         return []
 
     def _rows(self, trial: int, decision: str, saturated: int | None) -> list[str]:
-        made, record = self._made, self._record
-        if record is None or record.outcome.number != trial:
+        if (last := self._last) is None or last.record.outcome.number != trial:
             return []
+        made, record = last.made, last.record
         expected = made.expected_m_s if made is not None else None
         row = _ROW.format(
             trial,
