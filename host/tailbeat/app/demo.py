@@ -1,10 +1,10 @@
-"""The main job by the law of the thesis, end to end: a fish learns its speed profile.
+"""The main job by the P law, end to end: a fish learns the speed profile of the thesis.
 
-Connect, apply the preset of the thesis, upload, arm, execute a trial, pull its log over the wire,
-learn on the board; after every step the host recomputes its numbers with the same C code and
-compares the bits. The folder is that of any session, with its event log and the board's state. The
-loop is a short one, not `session.series`: a question more to the board would begin a trial at
-another moment of the camera's pictures, and the printed numbers with it.
+Connect, apply the preset of the thesis, set gain and lead, upload, arm, execute a trial, pull its
+log over the wire, learn on the board; after every step the host recomputes its numbers with the
+same C code and compares the bits. The folder is that of any session, with its event log and the
+board's state. The loop is a short one, not `session.series`: a question more to the board would
+begin a trial at another moment of the camera's pictures, and the printed numbers with it.
 """
 
 from __future__ import annotations

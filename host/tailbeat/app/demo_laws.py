@@ -1,4 +1,4 @@
-"""One simulated fish, twice from unknown: by the law of the thesis, and as ``start`` leads.
+"""One simulated fish, twice from unknown: by a P law, and as ``start`` leads.
 
 Both execute the same number of runs; those that measure the fish count.
 """
@@ -63,8 +63,9 @@ def run_both(options: DemoOptions, progress: Progress = lambda done, text: None)
     measuring_runs, started = _start(
         options, folder / _START, lambda done, text: progress(0.5 + done / 2, f"start, {text}")
     )
+    p_name = f"P law, gain {p_law.gain:g}, lead {p_law.lead:g}"
     runs = (
-        LawRun("P law of the thesis", 0, analyse(Experiment.open(folder / _P_LAW))),
+        LawRun(p_name, 0, analyse(Experiment.open(folder / _P_LAW))),
         LawRun("model-based, as tailbeat start", measuring_runs, analyse(started)),
     )
     progress(1.0, "figure")

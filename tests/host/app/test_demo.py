@@ -91,6 +91,7 @@ def test_both_laws_on_the_same_fish(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert seen == sorted(seen) and seen[-1] == 1.0
     document = json.loads(json.dumps(both.as_dict(), allow_nan=False))
     p_law, start = document["laws"]
+    assert p_law["law"] == "P law, gain 4, lead 1", "the thesis has no lead"
     assert (p_law["measuring_runs"], len(p_law["max_abs_error_m_s"])) == (0, 4)
     assert (start["measuring_runs"], len(start["max_abs_error_m_s"])) == (3, 1)
     assert start["max_abs_error_m_s"][0] < 0.5 * p_law["max_abs_error_m_s"][1]

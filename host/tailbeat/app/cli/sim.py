@@ -87,7 +87,9 @@ def demo(
     settings: Set = None,
     connect: str | None = opt("Learn on this board instead; vboard = flash image.", "URL"),
 ) -> Output:
-    """Show a simulated fish that learns the thesis's profile: by its P law, and as start leads.
+    """Show a simulated fish that learns the thesis's profile: by a P law, and as start leads.
+
+    The P law with gain 4 is the thesis's (8.16); the lead, 0 there, makes up for the tank's delay.
 
     Example: tailbeat sim demo --plant tank --seed 3
     """
