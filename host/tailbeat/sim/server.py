@@ -1,6 +1,6 @@
-"""A simulated or emulated board as a process: the radio on a TCP port, the camera on the next, the
-wired console on the one after and on a pty, the world around the fish on the fourth (sim/world.py),
-in real time times a factor.
+"""A simulated or emulated board as a process: Bluetooth on a TCP port, the camera on the next, USB
+serial on the one after and on a pty, the fault-injection port on the fourth (sim/world.py), in real
+time times a factor.
 
 The board goes on swimming when a client drops, as a real one would, and takes the next client
 without a restart.
@@ -170,7 +170,7 @@ def _hang_up(connection: socket.socket, last: bytes) -> None:
 
 
 class _Pty:
-    """The console on a pseudo-terminal, held open so that clients may come and go."""
+    """USB serial on a pseudo-terminal, held open so that clients may come and go."""
 
     def __init__(self, selector: selectors.BaseSelector) -> None:
         ends = open_pty()
@@ -199,7 +199,8 @@ class _Pty:
 
 @dataclass(frozen=True)
 class Addresses:
-    """Where the simulator can be reached."""
+    """Where the simulator can be reached. ``listen``: Bluetooth; ``console`` and ``pty``: USB
+    serial; ``world``: the fault-injection port."""
 
     listen: str
     camera: str
@@ -336,8 +337,8 @@ def parse_listen(listen: str) -> tuple[str, int]:
 
 
 def _ports(selector: selectors.BaseSelector, host: str, port: int) -> list[_Port]:
-    """Radio on ``port``, camera, console and world on the next ones; with port 0 any free
-    neighbours."""
+    """Bluetooth on ``port``; camera, USB serial and fault-injection port on the next ones; with
+    port 0 any free neighbours."""
     for _ in range(50):
         ports: list[_Port] = []
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import socket
 import sys
 import threading
@@ -11,17 +12,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from itertools import pairwise
+from pathlib import Path
 from typing import TextIO
 
 import pytest
 
+from tailbeat.app.cli.sim import _serve_text
 from tailbeat.board import connect as find
 from tailbeat.board.fish import Fish
 from tailbeat.board.provision import connect_notice, set_key
 from tailbeat.core import reference
 from tailbeat.core.errors import ConnectError, InputError, Refused
 from tailbeat.sim.board import SimBoard
-from tailbeat.sim.server import SimServer, parse_listen
+from tailbeat.sim.server import Addresses, SimServer, parse_listen
 
 SPEED = 40.0
 PATIENCE_S = 600.0
@@ -55,6 +58,15 @@ def test_a_fish_answers_and_clients_may_come_again() -> None:
                 assert info.simulated
                 times.append(info.status.time_s)
         assert times == sorted(times)
+
+
+def test_the_ports_are_called_what_the_page_calls_them() -> None:
+    at = Addresses("tcp:h:1", "tcp:h:2", "tcp:h:3", "/dev/pts/7", "tcp:h:4")
+    lines = _serve_text("simulated fish", 1.0, at).splitlines()[1:]
+    page = Path(__file__).parents[3] / "docs/how-to/simulate.md"
+    names = re.findall(r"^\| 576[123] \| ([\w -]+\w)", page.read_text(), re.M)
+    assert names == ["camera", "USB serial", "fault-injection port"]
+    assert all(line.startswith(f"{name} tcp:h:") for name, line in zip(names, lines, strict=True))
 
 
 def test_the_board_lives_on_when_a_client_drops() -> None:

@@ -188,10 +188,10 @@ def board(
 def _serve_text(what: str, speed: float, at: Addresses) -> str:
     pace = "" if speed == 1 else f" at {speed:g} x real time"
     line = f"{what}{pace} on {at.listen}: tailbeat info --connect {at.listen}"
-    console = at.console + (f" and {at.pty}" if at.pty else "")
+    serial = at.console + (f" and {at.pty}" if at.pty else "")
     host, port = parse_listen(at.world)
-    world = f"{at.world}: echo help | nc {host} {port}"
-    return f"{line}\nconsole on {console}\ncamera on {at.camera}\nworld on {world}"
+    faults = f"fault-injection port {at.world}: echo help | nc {host} {port}"
+    return f"{line}\ncamera {at.camera}\nUSB serial {serial}\n{faults}"
 
 
 def selftest(
