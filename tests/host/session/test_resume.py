@@ -651,7 +651,7 @@ def test_of_a_repeat_only_whether_it_counts_is_asked(
     monkeypatch.setattr(display, "ask", asked.append)
     restore(swapped, experiment)
     repeat_best(swapped, experiment, _operator(display, Typed(), False, repeats=True), ONE)
-    assert asked == ["c = it counts, d = discard, Enter = it counts: "]
+    assert asked == ["c = it counts, d = discard, Esc = later, Enter = it counts: "]
     assert experiment.journal.decisions()[5]["decision"] == "repeat"
 
 

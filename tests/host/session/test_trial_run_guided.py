@@ -284,7 +284,7 @@ def test_what_is_proposed(capsys: pytest.CaptureFixture[str]) -> None:
     for one, reason in ((wall, "too close to the wall"), (by_hand, "stopped by hand")):
         operator = TerminalOperator(Display(), Typed("\n", ("",)))
         assert operator.decide(one) == Decision("discard", reason)
-        assert "Enter = discard" in capsys.readouterr().err
+        assert "Esc = later, Enter = discard" in capsys.readouterr().err
     room = stopped(StopReason(StopKind.DISTANCE, "room: 2 m"))
     assert TerminalOperator(Display(), Typed("\n")).decide(room) == Decision("keep")
 

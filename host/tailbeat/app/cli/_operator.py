@@ -202,7 +202,7 @@ class TerminalOperator:
         usual = next(pair for pair in self.kinds.values() if pair[0] == proposal.kind)
         keys.forget()  # the key that stopped the tail is no answer
         self.display.bell()
-        self.display.ask(f"{words}, Enter = {usual[1]}: ")
+        self.display.ask(f"{words}, Esc = later, Enter = {usual[1]}: ")
         key = self._key(keys, (*letters, *_ENTER))
         kind, word = usual if key in _ENTER else self.kinds[key]
         self.display.keep(word)
