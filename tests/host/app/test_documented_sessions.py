@@ -200,7 +200,8 @@ def by_page(terminal: Terminal, seed: int) -> bool:
 def by_notebook(terminal: Terminal, seed: int) -> bool:
     """Its first cells, up to the sixth trial."""
     terminal.begin(seed)
-    cells = json.loads((ROOT / "docs" / "fish-api.ipynb").read_text(encoding="utf-8"))["cells"]
+    path = ROOT / "docs" / "reference" / "fish-api.ipynb"
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
     names: dict[str, Any] = {}
     for cell in cells:
         text = "".join(cell["source"])
