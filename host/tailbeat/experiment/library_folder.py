@@ -28,7 +28,7 @@ def folder_of(unique_id: str, root: Path | None = None) -> Path:
     """``root``: the folder of all trial libraries, if not the usual one. Raises InputError."""
     if not (unique_id.isalnum() and unique_id.isascii() and len(unique_id) <= 64):
         raise InputError(
-            f"'{unique_id}' names no fish", "Give the unique id that 'tailbeat info' prints."
+            f"'{unique_id}' names no fish", "Give the unique_id of 'tailbeat info --json'."
         )
     return (root or _default_root()) / unique_id.lower()
 

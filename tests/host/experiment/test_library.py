@@ -205,7 +205,7 @@ def test_where_it_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "mine"))
     assert TrialLibrary.of(FISH.upper()).folder == tmp_path / "mine" / FISH
     for bad in ("", "../x", "a/b", "ü", "f" * 65):
-        with pytest.raises(InputError, match="unique id"):
+        with pytest.raises(InputError, match="unique_id"):
             TrialLibrary.of(bad)
 
 
