@@ -36,7 +36,6 @@ UNKNOWN_COMMAND = 57
 NOT_STILL = 60
 NOT_SIGNED = 62
 NOT_FRESH = 63
-NOT_WIRED = 64
 LAW_FEEDBACK = 66
 LAW_SIGN = 67
 ERASING = 69
@@ -64,16 +63,14 @@ def all_faults() -> tuple[FaultInfo, ...]:
 @cache
 def fault_info(number: int) -> FaultInfo:
     """The row of ``number``; a made-up row when the table has none (a newer firmware)."""
-    for fault in all_faults():
-        if fault.number == number:
-            return fault
-    return FaultInfo(
+    unknown = FaultInfo(
         number,
         f"FAULT_{number}",
         "fault",
         f"the board gave fault {number}, which this tool does not know",
         "Tool and firmware differ in version; update the tool.",
     )
+    return next((fault for fault in all_faults() if fault.number == number), unknown)
 
 
 def refusal(number: int) -> Refused:
@@ -100,7 +97,6 @@ def _text(pointer: object) -> str:
 IMU_NONE = 0
 IMU_STARTING = 1
 IMU_SILENT = 2
-IMU_UNREADABLE = 3
 IMU_NOISY = 9
 IMU_NEEDS_SAVE = 10
 

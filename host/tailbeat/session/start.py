@@ -161,7 +161,7 @@ class _Guide:
         words = f"skipped, this fish was measured on {found.identified.made[:10]}"
         self._took(StepEnded("commission", True, words))
         self.identified = found.identified
-        return self._given(reference) and self._commissioned(reference, found)
+        return self._given(reference, found)
 
     def _commissioned(self, reference: Reference, known: MeasuredFish | None) -> bool:
         """Of a ``known`` fish only the limit and the board's law, both for this reference."""
@@ -179,10 +179,12 @@ class _Guide:
                 self.identified = step.found.identified
         return True
 
-    def _given(self, reference: Reference) -> bool:
-        """To the board, and checked."""
+    def _given(self, reference: Reference, known: MeasuredFish | None = None) -> bool:
+        """To the board, and checked; of a ``known`` fish with the limit that is allowed for it."""
         self._begin("reference")
         give_reference(self.fish, reference, self.operator)
+        if known is not None and not self._commissioned(reference, known):
+            return False
         return self._took(self._checked(reference))
 
     def _checked(self, reference: Reference) -> StepEnded:

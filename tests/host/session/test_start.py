@@ -121,7 +121,7 @@ def test_from_an_unknown_fish_to_the_bound(tank: Tank) -> None:
     errors = [1e3 * one.max_abs_error_m_s for one in end.series.records]
     assert max(errors) < 1.3 * float(bound[1]) + 2, "noise and all"
     again, operator = tank.start()
-    assert names(again) == ["health", "commission", "reference", "limit", "law"]
+    assert names(again) == ["health", "commission", "limit", "law", "reference"]
     assert "skipped, this fish was measured" in again.steps[1].words
     assert operator.swims() == 2
 
@@ -139,7 +139,8 @@ def test_limit_and_law_follow_when_only_they_are_missing(tank: Tank) -> None:
     with pytest.raises(KeyboardInterrupt):
         tank.start(operator=after_measuring)
     end, _ = tank.start()
-    assert names(end) == ["health", "commission", "reference", "limit", "law"]
+    assert names(end) == ["health", "commission", "limit", "law", "reference"]
+    assert "saturation" not in end.steps[-1].words, "the limit is raised by now"
     with Fish(SimTransport(tank.board)) as fish:
         assert fish.params.get("AMP_MAX_RAD").value > 0.5
         gain, lead = fish.params.get("ILC_GAIN").value, fish.params.get("ILC_LEAD").value
