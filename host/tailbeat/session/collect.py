@@ -17,9 +17,11 @@ import numpy as np
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.faults import ABORT_COMMAND, REBOOT, TILT, WALL, FaultInfo, fault_info
+from tailbeat.core.records import decode_reference
 from tailbeat.core.speed_source import Camera, Frame, speed_source
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift, heading_drift_of_frames
 from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.experiment.current import reference_of
 from tailbeat.experiment.folder import Experiment
 from tailbeat.learning.convergence import score_of
 from tailbeat.learning.fish_model import trial_speeds
@@ -336,12 +338,14 @@ _RUNNING = 3  # TAILBEAT_STATE
 @dataclass
 class LiveReporter:
     """What the board tells while it swims, as one event now and then. A guard that stops nothing:
-    it is asked all the time, so it also shows how long the link has been silent."""
+    it is asked all the time, so it also shows how long the link has been silent. Speed and
+    reference are those of the present beat: TAILBEAT_BEAT comes some beats later."""
 
     fish: Fish
     operator: Operator
     simulated: bool
-    KINDS: ClassVar = ("TAILBEAT_STATUS", "TAILBEAT_LIVE", "TAILBEAT_BEAT")
+    reference_m_s: Sequence[float]
+    KINDS: ClassVar = ("TAILBEAT_STATUS", "TAILBEAT_LIVE")
     _values: LiveValues = field(init=False)
     _told_s: float = field(default=-math.inf, init=False)
     _running: bool = field(default=False, init=False)
@@ -359,10 +363,10 @@ class LiveReporter:
                 changes["beat"] = message.beat
         elif kind == "TAILBEAT_LIVE" and self._running:
             changes |= {"beat": message.beat, "amplitude_rad": message.amplitude_rad}
-        elif kind == "TAILBEAT_BEAT":
-            changes["reference_m_s"] = message.reference_m_s
-        if changes and math.isfinite(speed_m_s := getattr(message, "speed_m_s", math.nan)):
-            changes["speed_m_s"] = speed_m_s
+            if math.isfinite(message.speed_m_s):
+                changes["speed_m_s"] = message.speed_m_s
+        if changes.get("beat", math.inf) < len(self.reference_m_s):
+            changes["reference_m_s"] = self.reference_m_s[changes["beat"]]
         self._values = replace(self._values, **changes)
 
     def __call__(self, _: object) -> None:
@@ -401,7 +405,9 @@ def execute(
     """Swims the next trial and keeps what the camera saw. Raises what
     run_trial raises."""
     fish, operator = around.fish, around.operator
-    live = LiveReporter(fish, operator, fish.info().board in SIMULATED_FISH)
+    record = reference_of(experiment)
+    reference_m_s = () if record is None else decode_reference(record).speed_m_s.tolist()
+    live = LiveReporter(fish, operator, fish.info().board in SIMULATED_FISH, reference_m_s)
     stopped: list[StopReason] = []
 
     def on_event(event: Event) -> None:

@@ -82,7 +82,7 @@ def limit_offer(
     travel = _travel(params, reference, identified, to)
     if not travel.fits:
         return f"{stays}: the tank clearance is used up, the trial would come {travel.text()}"
-    return LimitIncrease(AMP_MAX, now, to, _reason(params, reference, identified, need, to, travel))
+    return LimitIncrease(AMP_MAX, now, to, _reason(reference, identified, need, travel))
 
 
 def require_tried(fish: Fish, limit_rad: float) -> None:
@@ -154,14 +154,7 @@ def _travel(
     return travel_of(best.amplitude_rad, allowed, reference.beat_s, identified)
 
 
-def _reason(
-    params: Mapping[str, float],
-    reference: Reference,
-    identified: Identified,
-    need: float,
-    to: float,
-    travel: Travel,
-) -> str:
+def _reason(reference: Reference, identified: Identified, need: float, travel: Travel) -> str:
     top = float(np.max(reference.speed_m_s)) * 1e3
     words = f"the reference needs {need:.2f}, {hold_rad(identified, reference):.2f} for its"
     tried = f"a trial went to {tried_rad(identified):.2f} without a fault"

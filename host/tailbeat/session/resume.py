@@ -79,7 +79,7 @@ def repeat_best(
     assert held is not None
     try:
         if status.pending_trial is not None:
-            recorded = _left_over(fish, experiment, account, operator)
+            recorded = _left_over(fish, account, operator)
         else:
             fish.restore_best()
             recorded = _swum(fish, experiment, operator, options, camera, guard)
@@ -156,9 +156,7 @@ class _Repeating:
         return decision
 
 
-def _left_over(
-    fish: Fish, experiment: Experiment, account: SessionLog, operator: Operator
-) -> RecordedTrial:
+def _left_over(fish: Fish, account: SessionLog, operator: Operator) -> RecordedTrial:
     """The repeat of an earlier call that was broken off after the trial."""
     number = fish.status().pending_trial
     assert number is not None

@@ -198,7 +198,8 @@ def test_a_kept_swim_is_in_the_raw_files_the_journal_the_library_and_learned(
     assert report is not None
     assert report.max_abs_error_m_s == pytest.approx(end.records[0].max_abs_error_m_s, rel=1e-5)
     told = [type(event) for event in operator.told]
-    assert LiveValues in told
+    shown = [(one.beat, one.reference_m_s) for one in operator.of(LiveValues) if one.beat]
+    assert shown == [(beat, pytest.approx(SPEEDS[beat])) for beat, _ in shown] != []
     order = [TrialStarted, TrialEnded, TrialRecorded, TrialDecided, LearnReport, Assessed]
     assert [told.index(kind) for kind in order] == sorted(told.index(kind) for kind in order)
 

@@ -119,11 +119,8 @@ def _report(end: StartEnd, show: bool) -> Path | None:
 
 
 def _status(end: StartEnd) -> int:
-    if end.series is None:
-        return 1
-    if end.series.why in (*GOOD_ENDS, "battery"):
-        return 0
-    return 130 if end.series.why == "interrupted" else 1
+    why = "" if end.series is None else end.series.why
+    return 0 if why in (*GOOD_ENDS, "battery") else 130 if why == "interrupted" else 1
 
 
 def _document(end: StartEnd, page: Path | None) -> dict[str, Any]:
