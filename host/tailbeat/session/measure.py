@@ -85,7 +85,7 @@ class MeasuringRun:
         beyond = self.top_rad > limit_rad + GRAIN_RAD / 2
         words = f", for this trial beyond its limit of {limit_rad:.2f}" if beyond else ""
         return (
-            f"Run {self.number} to measure the fish: in {len(self.amplitude_rad)} beats the tail"
+            f"Trial {self.number} to measure the fish: in {len(self.amplitude_rad)} beats the tail"
             f" swings wider and wider, to {self.top_rad:.2f} rad{words}; {self.travel.text()}."
             f" {_HANDS}"
         )

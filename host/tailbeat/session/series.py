@@ -87,6 +87,11 @@ class SeriesEnd:
     counted: int = 0
 
     @property
+    def text(self) -> str:
+        """How it ended, in words."""
+        return f"ended{'' if self.why == NOTHING_MORE else f' ({self.why})'}: {self.words}"
+
+    @property
     def records(self) -> list[RecordedTrial]:
         """The trials, in order."""
         return [one.recorded for one in self.rounds]

@@ -255,7 +255,7 @@ def fish_folder(library: Path) -> str:
     return next(path.name for path in library.iterdir())
 
 
-@pytest.mark.parametrize("refused", ["The tank is", "Run 1"])
+@pytest.mark.parametrize("refused", ["The tank is", "Trial 1 to"])
 def test_no_is_no(refused: str, fish: Fish, quickly: None) -> None:
     steps = list(commission_fish(fish, THESIS, Somebody(refused)))
     assert not steps[-1].done and "the answer was no" in steps[-1].words

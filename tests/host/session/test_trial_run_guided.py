@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,12 +17,14 @@ import pytest
 from tailbeat.app.cli import run
 from tailbeat.app.cli._operator import TerminalOperator, Undecided
 from tailbeat.app.cli._terminal import Display
+from tailbeat.app.cli.trial_run import _text
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.experiment.folder import Experiment
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.events import Countdown, StepProgress, TrialStarted
 from tailbeat.session.outcome import BY_HAND, Decision, RecordedTrial, StopKind, StopReason
+from tailbeat.session.series import Round, SeriesEnd
 from tailbeat.sim.board import SimBoard, SimTransport
 
 Command = Callable[..., tuple[int, Any, str]]
@@ -82,7 +86,7 @@ def test_words_for_people(trial: Command) -> None:
     status, out, err = trial("run", "--then", "keep", *FAST)
     lines = out.splitlines()
     assert status == 0 and lines[0].startswith("trial 1, iteration 1: keep, max|e| ")
-    assert lines[-1] == "ended (swims): 1 trial"
+    assert lines[-1] == "ended: 1 trial"
     head, units, row = [line.split() for line in err.splitlines()[-4:-1]]
     assert " ".join(head) == "trial law predicted max|e| RMS at limit battery decision"
     assert set(units) == {"mm/s", "beats"} and row[:2] == ["1", "p"] and row[-2:] == ["the", "best"]
@@ -302,6 +306,16 @@ def test_a_few_missing_beats_need_no_answer() -> None:
     for wrong in (one, others, replace(one, judged=True, problems=("no beat of it",))):
         with pytest.raises(Undecided):
             nobody.decide(wrong)
+
+
+def test_at_a_terminal_the_table_is_not_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
+    end = SeriesEnd("swims", "1 trial", [Round(recorded(), Decision("keep"), None)], None)
+    assert _text(end, good=True).splitlines()[1:] == ["ended: 1 trial"]
+    for name in ("stdout", "stderr"):
+        screen = io.StringIO()
+        monkeypatch.setattr(screen, "isatty", lambda: True)
+        monkeypatch.setattr(sys, name, screen)
+    assert _text(end, good=True) == "ended: 1 trial"
 
 
 def test_escape_puts_it_off() -> None:

@@ -133,4 +133,4 @@ def _document(end: StartEnd, page: Path | None) -> dict[str, Any]:
 def _text(end: StartEnd, page: Path | None) -> str:
     if end.series is None:
         return f"ended at {end.steps[-1].name}; begin again with the same command"
-    return lines_of(f"ended ({end.series.why}): {end.series.words}", page and f"report {page}")
+    return lines_of(end.series.text, page and f"report {page}")

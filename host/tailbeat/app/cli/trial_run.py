@@ -283,15 +283,17 @@ def _trial_document(one: Round) -> dict[str, Any]:
 
 
 def _text(end: SeriesEnd, good: bool) -> str:
-    """``good``: with how it ended; otherwise that is an error."""
-    verdict = end.verdict
+    """``good``: with how it ended; otherwise that is an error. The trials only where nobody has
+    seen the table of them."""
+    verdict, seen = end.verdict, sys.stdout.isatty() and sys.stderr.isatty()
     lines = [
         f"trial {one.recorded.outcome.number}, iteration {one.recorded.outcome.iteration}: "
         f"{one.decision.kind}, max|e| {mm(one.recorded.max_abs_error_m_s)} mm/s"
         for one in end.rounds
+        if not seen
     ]
     return lines_of(
         lines,
         verdict and [verdict.words, *([] if verdict.stop else verdict_lines(verdict))],
-        good and f"ended ({end.why}): {end.words}",
+        good and end.text,
     )
