@@ -120,7 +120,7 @@ def require_same(fish: Fish, experiment: Experiment) -> None:
     if crc is None or crc == has:
         return
     csv = quote(str(experiment.folder / "reference.csv"))
-    if has is None:
+    if has_lost(fish, experiment):
         both = held_state(experiment) is not None
         raise InputError(
             "the board has lost its reference" + (" and all that it had learned." if both else "."),
@@ -133,6 +133,11 @@ def require_same(fish: Fish, experiment: Experiment) -> None:
         f"tailbeat reference upload {csv}, or make an experiment for the board's: tailbeat"
         " experiment new",
     )
+
+
+def has_lost(fish: Fish, experiment: Experiment) -> bool:
+    """Whether the board has no reference, and ``experiment`` has it."""
+    return fish.status().reference_crc is None and reference_crc(experiment) is not None
 
 
 def require_own(fish: Fish) -> None:

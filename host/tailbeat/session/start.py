@@ -16,6 +16,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.core.speed_source import Camera
+from tailbeat.experiment.current import current, has_lost
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import library_of, preserve_folder, some_library
 from tailbeat.learning.error_bound import error_bound_range
@@ -23,12 +24,13 @@ from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import KnownFish, expected_saturation
 from tailbeat.session.collect import STOPPED, stop_words
 from tailbeat.session.commission import commission_fish, give_reference
-from tailbeat.session.events import Operator, StepBegun, StepEnded, notice_to
+from tailbeat.session.events import Notice, Operator, StepBegun, StepEnded, notice_to
 from tailbeat.session.guards import Guard
 from tailbeat.session.health import HEALTH, check_health
 from tailbeat.session.measure import MeasuredFish, measured_before
 from tailbeat.session.options import Options, Until
 from tailbeat.session.proposals import Trials
+from tailbeat.session.resume import restore
 from tailbeat.session.series import NOTHING_MORE, SeriesEnd, run_series
 from tailbeat.session.travel import travel_of
 
@@ -97,6 +99,17 @@ def run_start(
         return _Guide(fish, operator, options, experiment, camera, guard).run()
 
 
+def give_back(fish: Fish, operator: Operator) -> None:
+    """To a board that has lost its reference, what its experiment holds: as ``session resume``.
+    Raises what that raises."""
+    experiment = current(fish)
+    if experiment is None or not has_lost(fish, experiment):
+        return
+    learned = " and all that was learned" if restore(fish, experiment).learned else ""
+    words = f"the board had lost its reference; {experiment.name} has given back it{learned}"
+    operator.tell(Notice(words))
+
+
 @dataclass
 class _Guide:
     """State of one call of run_start."""
@@ -116,6 +129,7 @@ class _Guide:
         )
         if (left := self._settled()) is not None:
             return left
+        give_back(self.fish, self.operator)
         if not self._ready():
             return StartEnd(self.steps)
         self._begin("trials")

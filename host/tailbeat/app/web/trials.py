@@ -16,7 +16,7 @@ from tailbeat.core.reference import Reference, ReferenceLimits
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment import current as notes
 from tailbeat.experiment.analysis import analyse
-from tailbeat.experiment.current import begin, current, make, require_same
+from tailbeat.experiment.current import begin, current, has_lost, make, require_same
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import name_reference
 from tailbeat.experiment.redo import write_redo
@@ -56,13 +56,10 @@ class PageTrials:
         """The one this fish is in, if it can go on there."""
         found = current(fish)
         try:
-            if found is not None:
+            if found is not None and not has_lost(fish, found):  # START gives it back
                 require_same(fish, found)
         except InputError as another:
-            if fish.status().reference_crc is None:  # what it has learned is to be given back
-                self._screen.trouble(another)
-            else:
-                self._screen.say(f"not going on in {found.name if found else ''}: {another}")
+            self._screen.say(f"not going on in {found.name if found else ''}: {another}")
             found = None
         if found is not None and self._is_of_another_run(fish, found):
             self._screen.say(f"not going on in {found.name}: this board has begun anew since")
@@ -72,10 +69,11 @@ class PageTrials:
     @staticmethod
     def _is_of_another_run(fish: Fish, experiment: Experiment) -> bool:
         """Whether the board knows nothing of what the folder holds: a simulated one that was
-        started again. One that was given back what it had learned goes on."""
+        started again. One that was given back what it had learned goes on, one that has lost its
+        reference is given it."""
         status = fish.status()
         there = (experiment.raw / f"{status.next_trial:04d}.ulg").exists()
-        return there and status.iteration == 0
+        return there and status.iteration == 0 and status.reference_crc is not None
 
     def for_series(self, fish: Fish) -> Experiment:
         """The one that the next trial is added to."""

@@ -116,6 +116,9 @@ def next_line(now: PageState) -> str:
     """What START will do."""
     if now.pending is not None and now.phase == "idle":
         return f"Trial {now.pending} is not decided yet: START asks about it first."
+    if not now.reference_m_s and now.experiment:
+        what = "it and what was learned along it; another one (below) begins anew"
+        return f"The board has lost its reference. START restores {what}."
     if not now.reference_m_s:
         return "The board has no reference yet. START uploads the thesis's; choose another below."
     line = f"START: trial {now.next_trial}, iteration {max(now.iteration, 1)}"

@@ -44,7 +44,7 @@ from tailbeat.session.outcome import KINDS
 from tailbeat.session.preflight_step import PreflightLimits
 from tailbeat.session.proposals import Trials
 from tailbeat.session.series import SeriesEnd
-from tailbeat.session.start import StartOptions, run_start
+from tailbeat.session.start import StartOptions, give_back, run_start
 from tailbeat.session.travel import travel_next
 from tailbeat.session.trial_camera import camera_of
 
@@ -262,7 +262,6 @@ class Worker:
     def _upload(self, fish: Fish, reference: Reference) -> None:
         self.trials.upload(fish, reference)
         self.screen.set(law="", guide=(), diagnosis="")  # of the reference before
-        self.look_at_reference(fish)
         self.trials.find(fish)
 
     def _stop_tail(self, fish: Fish) -> None:
@@ -336,8 +335,7 @@ class Worker:
             raise
         except TailbeatError as error:
             travel, room_m = state.on_the_page(str(error)), None
-        limit = fish.params.get("AMP_MAX_RAD").value
-        self.screen.set(travel=travel, room_m=room_m, amplitude_max_rad=limit)
+        self.screen.set(travel=travel, room_m=room_m)
 
     # A series.
 
@@ -378,12 +376,12 @@ class Worker:
         guard: Guard,
     ) -> SeriesEnd | None:
         """None: the guided job ended before its trials, as the page shows."""
-        operator = PageOperator(self, fish)
+        operator, place = PageOperator(self, fish), partial(self.trials.for_series, fish)
         if commission == "never":
-            place = partial(self.trials.for_series, fish)
+            give_back(fish, operator)
+            self.look_at_reference(fish)
             return Trials(fish, operator, options, place, camera, guard).run()[0]
         asked = StartOptions(series=options, anew=commission == "anew")
-        place = partial(self.trials.for_series, fish)
         end = run_start(fish, operator, asked, place, camera, guard)
         if end.series is None:
             self.screen.set(problem=state.on_the_page(end.steps[-1].words))
@@ -418,9 +416,6 @@ class Worker:
         if name == AMP_MAX:
             require_tried(fish, value)
         set_and_save(fish, {name: value})
-        self.look_at_reference(fish)
-        if self.now.params:
-            self._read_params(fish)
         self.screen.say(f"{name} = {value:g}, saved")
 
     def answered(self, fish: Fish, kind: str, **shown: Any) -> Ask:

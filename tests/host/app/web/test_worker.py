@@ -14,6 +14,7 @@ import pytest
 
 from tailbeat.app.web.inbox import Ask, Asks
 from tailbeat.app.web.state import PageState
+from tailbeat.app.web.view import next_line
 from tailbeat.app.web.worker import Worker, simulated_camera
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError
@@ -479,15 +480,26 @@ def test_a_board_that_starts_again_is_greeted_anew(ready: Tank) -> None:
     assert (len(now.reference_m_s), now.problem) == (8, "")
 
 
-def test_a_board_that_has_lost_all_is_not_begun_anew_in_silence(ready: Tank) -> None:
+@pytest.mark.parametrize(("commission", "phase"), [("new", "asking"), ("never", "deciding")])
+def test_a_board_that_has_lost_all_gets_it_back_by_start(
+    ready: Tank, commission: str, phase: str
+) -> None:
+    """Guided, before anything is asked, or not: nothing is begun anew in silence."""
     ready.ask("swim", preflight=False)
-    ready.decide("keep")
+    kept = ready.decide("keep")
     ready.board = SimBoard("tank", seed=1)  # the same fish, with nothing in its memory
     connected = len(ready.lines)
     ready.lines[-1].cut = True
     now = ready.wait(lambda now: now.phase == "idle" and len(ready.lines) > connected)
-    assert "session resume" in now.problem
-    assert (now.reference_m_s, now.experiment) == ((), "")
+    assert "lost its reference" in next_line(now) and "START restores" in next_line(now)
+    assert (now.reference_m_s, now.experiment, now.problem) == ((), kept.experiment, "")
+    ready.worker.ask("swim", preflight=False, commission=commission)
+    now = ready.wait(lambda now: now.phase in ("asking", "deciding") or now.done > kept.done)
+    assert (now.phase, now.iteration) == (phase, 2), now.problem
+    assert any("all that was learned" in line for line in now.log)
+    if phase == "asking":
+        now = ready.ask("answer", yes=False)
+    assert (now.reference_m_s, now.experiment) == (kept.reference_m_s, kept.experiment)
 
 
 def test_a_reference_that_does_not_fit_is_refused(ready: Tank) -> None:
