@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 
 from tailbeat.core.errors import Refused
-from tailbeat.core.native import ffi, lib
+from tailbeat.core.native import c_text, ffi, lib
 
 NONE = 0
 ABORT_COMMAND = 1
@@ -83,15 +83,11 @@ def _row(row: int) -> FaultInfo:
     info = lib.fault_row(row)
     return FaultInfo(
         int(info.number),
-        _text(info.name),
+        c_text(info.name),
         _KINDS[int(info.kind)],
-        _text(info.meaning),
-        _text(lib.fault_remedy(row)),
+        c_text(info.meaning),
+        c_text(lib.fault_remedy(row)),
     )
-
-
-def _text(pointer: object) -> str:
-    return str(ffi.string(pointer).decode())
 
 
 IMU_NONE = 0
@@ -143,6 +139,6 @@ def _row_imu_problems(number: int, name: str) -> ImuProblem:
     return ImuProblem(
         number,
         name.removeprefix(_IMU_PREFIX),
-        ffi.string(lib.imu_problem_meaning(number)).decode(),
-        ffi.string(lib.imu_problem_remedy(number)).decode(),
+        c_text(lib.imu_problem_meaning(number)),
+        c_text(lib.imu_problem_remedy(number)),
     )

@@ -107,3 +107,8 @@ class _OnFirstUse:
 
 ffi: Any = _OnFirstUse("ffi")
 lib: Any = _OnFirstUse("lib")
+
+
+def c_text(pointer: object) -> str:
+    """A string of the library."""
+    return str(ffi.string(pointer).decode())

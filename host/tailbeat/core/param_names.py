@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any, TypeVar
 
-from tailbeat.core import native
+from tailbeat.core.native import c_text, lib
 
 Value = TypeVar("Value")
 
@@ -14,8 +14,8 @@ Value = TypeVar("Value")
 @cache
 def renamed() -> dict[str, str]:
     """Old name to present name."""
-    rows = [native.lib.param_renamed(i) for i in range(int(native.lib.PARAM_RENAMED_COUNT))]
-    return {_text(row.old_name): _text(native.lib.param_info(row.param).name) for row in rows}
+    rows = [lib.param_renamed(i) for i in range(int(lib.PARAM_RENAMED_COUNT))]
+    return {c_text(row.old_name): c_text(lib.param_info(row.param).name) for row in rows}
 
 
 def current_name(name: str) -> str:
@@ -39,7 +39,3 @@ def of_document(document: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(params, dict):
         return document
     return document | {"params": with_current_names(params)}
-
-
-def _text(pointer: object) -> str:
-    return str(native.ffi.string(pointer).decode())

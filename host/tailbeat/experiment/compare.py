@@ -19,8 +19,8 @@ import numpy as np
 from tailbeat.core.errors import InputError
 from tailbeat.experiment.analysis import Analysis
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.trial_rows import TrialRow, student_t
-from tailbeat.learning.convergence import assess_all, best_of
+from tailbeat.experiment.trial_rows import TrialRow
+from tailbeat.learning.convergence import assess_all, best_of, student_t
 
 WHAT = {"max": "max_abs_error_m_s", "rms": "rms_error_m_s"}
 _SETTINGS = ("fish", "law", "configuration", "operator", "unique_id", "firmware", "simulated")

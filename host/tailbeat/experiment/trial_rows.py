@@ -15,11 +15,10 @@ import numpy as np
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift, on_common_beats
 from tailbeat.core.trial_file import Trial
 from tailbeat.learning.assessment import scores_of
-from tailbeat.learning.convergence import Score, comparable, score_of
+from tailbeat.learning.convergence import Score, comparable, score_of, student_t
 from tailbeat.learning.saturation import at_limit
 
 DISCARD = "discard"
-_CONFIDENCE = 0.95
 _RATIO_MIN = 0.05  # where a band of noise ends below: an error is no less than nothing
 _BY_THE_LAW = ("law", "")  # "" = unknown: a log of an older board
 
@@ -205,13 +204,6 @@ def with_noise(rows: Sequence[TrialRow], noise_m_s: float, freedom: int) -> list
             row = replace(row, noise_low=max(_RATIO_MIN, 1 - half), noise_high=1 + half)
         found.append(row)
     return found
-
-
-def student_t(freedom: float) -> float:
-    """Student's t that 95 % stay within: 12.7 for one pair of repeats, 1.96 for many."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom, (1 + _CONFIDENCE) / 2))
 
 
 def noise_of(rows: Sequence[TrialRow], trials: Sequence[Trial]) -> tuple[float, int]:

@@ -165,10 +165,10 @@ def noise_band(scores: Sequence[Score], expected: NoiseBand | None = None) -> No
     freedom = sum(len(group) - 1 for group in groups)
     squares = sum(float(np.sum((group - group.mean()) ** 2)) for group in groups)
     down, up = prior.widths(best.max_abs_error_m_s)
-    before = (down + up) / 2 / _student(_PRIOR_FREEDOM)
+    before = (down + up) / 2 / student_t(_PRIOR_FREEDOM)
     together = _PRIOR_FREEDOM + freedom
     sigma = math.sqrt((_PRIOR_FREEDOM * before**2 + squares) / together)
-    factor = _student(together) * sigma / ((down + up) / 2)
+    factor = student_t(together) * sigma / ((down + up) / 2)
     level = _best_level(scores, prior)
     repeats = sum(len(group) for group in groups)
     return _band(1 - factor * down / level, 1 + factor * up / level, repeats, level)
@@ -428,7 +428,8 @@ def _band(low: float, high: float, repeats: int, level_m_s: float) -> NoiseBand:
     return NoiseBand(max(low, _NARROWEST), min(high, _WIDEST), repeats, level_m_s)
 
 
-def _student(freedom: int) -> float:
+def student_t(freedom: float) -> float:
+    """Student's t that 95 % stay within: 12.7 for one pair of repeats, 1.96 for many."""
     from scipy.special import stdtrit  # scipy.stats takes four times as long to load
 
     return float(stdtrit(freedom, (1 + _CONFIDENCE) / 2))

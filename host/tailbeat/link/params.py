@@ -12,7 +12,7 @@ from itertools import islice
 
 from tailbeat.core.errors import InputError, Refused, TransferError, did_you_mean
 from tailbeat.core.faults import BAD_PARAM, LAW_FEEDBACK, LAW_SIGN, WRONG_STATE, refusal
-from tailbeat.core.native import ffi, lib
+from tailbeat.core.native import c_text, lib
 from tailbeat.core.param_names import current_name, old_names, renamed
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Link, Message, text_of
@@ -237,19 +237,15 @@ def known_parameters() -> dict[str, _KnownParameter]:
     table: dict[str, _KnownParameter] = {}
     for index in range(int(lib.PARAM_COUNT)):
         info = lib.param_info(index)
-        table[_text(info.name)] = _KnownParameter(
+        table[c_text(info.name)] = _KnownParameter(
             float(info.fallback),
             float(info.low),
             float(info.high),
             steps[info.kind],
-            _text(lib.param_unit(index)),
-            _text(lib.param_text(index)),
+            c_text(lib.param_unit(index)),
+            c_text(lib.param_text(index)),
         )
     return table
-
-
-def _text(pointer: object) -> str:
-    return str(ffi.string(pointer).decode())
 
 
 def _read_request(name: str) -> Message:

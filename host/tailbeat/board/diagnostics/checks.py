@@ -26,7 +26,7 @@ from tailbeat.core.faults import (
     WATCHDOG,
     fault_info,
 )
-from tailbeat.core.native import ffi, lib
+from tailbeat.core.native import c_text, lib
 from tailbeat.core.speed_source import speed_source
 from tailbeat.link.messages import RESET_CAUSES
 from tailbeat.link.transport import BLUETOOTH_SETUP
@@ -57,7 +57,7 @@ Assessment = tuple[str, str, str]
 
 def _firmware(evidence: BoardEvidence, measured: Figures) -> Assessment:
     """Whether board and tool are of one version."""
-    ours, build = tool_version(), _text(lib.link_build_id())
+    ours, build = tool_version(), c_text(lib.link_build_id())
     measured |= {"tool": ours, "tool_build": build, "board_build": evidence.build_id}
     if "AUTOPILOT_VERSION" in evidence.untold:
         return _UNAUTHENTICATED
@@ -336,7 +336,3 @@ def tool_version() -> str:
 def _same_build(ours: str, sent: str) -> bool:
     """``sent`` is cut when it is too long for its line of text."""
     return ours == sent or (len(sent) == _SENT_CHARS and ours.startswith(sent))
-
-
-def _text(pointer: object) -> str:
-    return str(ffi.string(pointer).decode())

@@ -12,7 +12,7 @@ import numpy as np
 from tailbeat.core.errors import InputError
 from tailbeat.experiment.analysis import Analysis
 from tailbeat.experiment.compare import compare, counted
-from tailbeat.experiment.trial_rows import student_t
+from tailbeat.learning.convergence import student_t
 from tailbeat.report.style import (
     LOOKS,
     Axes,

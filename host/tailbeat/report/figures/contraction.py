@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from tailbeat.experiment.analysis import Analysis
-from tailbeat.experiment.trial_rows import student_t
+from tailbeat.learning.convergence import student_t
 from tailbeat.report.style import (
     BAND,
     INK,
