@@ -104,6 +104,7 @@ class Worker:
             "note": lambda fish, text, at: self.trials.note(text, at),
         }
         self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
+        self._camera: Camera | None = None
         self._heard_s: float | None = None
         self._board_s = 0.0
         self._imu_changed = False
@@ -350,8 +351,8 @@ class Worker:
         limits = self.limits if preflight else None
         options = Options(until, limits, counts=KINDS, law=law, proposes=True)
         try:
-            with self.open_camera(fish) as (camera, guard):
-                end = self._run_series(fish, options, commission, camera, self._seen_by(guard))
+            with self.open_camera(fish) as (self._camera, guard):
+                end = self._run_series(fish, options, commission, self._seen_by(guard))
         finally:
             self.trials.refresh()
         if end is None:
@@ -368,21 +369,16 @@ class Worker:
             self.trials.report()
 
     def _run_series(
-        self,
-        fish: Fish,
-        options: Options,
-        commission: Commission,
-        camera: Camera | None,
-        guard: Guard,
+        self, fish: Fish, options: Options, commission: Commission, guard: Guard
     ) -> SeriesEnd | None:
         """None: the guided job ended before its trials, as the page shows."""
         operator, place = PageOperator(self, fish), partial(self.trials.for_series, fish)
         if commission == "never":
             give_back(fish, operator)
             self.look_at_reference(fish)
-            return Trials(fish, operator, options, place, camera, guard).run()[0]
+            return Trials(fish, operator, options, place, self._camera, guard).run()[0]
         asked = StartOptions(series=options, anew=commission == "anew")
-        end = run_start(fish, operator, asked, place, camera, guard)
+        end = run_start(fish, operator, asked, place, self._camera, guard)
         if end.series is None:
             self.screen.set(problem=state.on_the_page(end.steps[-1].words))
         return end.series
@@ -399,9 +395,9 @@ class Worker:
         return all_guards(guard, see)
 
     def _health(self, fish: Fish) -> None:
-        with self.open_camera(fish) as (camera, _):
-            operator = PageOperator(self, fish)
-            operator.tell(check_health(fish, camera, operator, "Check the fish's health", False))
+        with self.open_camera(fish) as (self._camera, _):
+            operator, words = PageOperator(self, fish), "Check the fish's health"
+            operator.tell(check_health(fish, self._camera, operator, words, False))
 
     def _read_params(self, fish: Fish) -> None:
         self.screen.set(params=tuple(fish.params.list().values()))
@@ -419,8 +415,8 @@ class Worker:
         self.screen.say(f"{name} = {value:g}, saved")
 
     def answered(self, fish: Fish, kind: str, **shown: Any) -> Ask:
-        """Waits for an answer; the link is kept meanwhile, as far as there is one. ABORT says no; a
-        trial has still to be decided on."""
+        """Waits for an answer; link and camera are kept meanwhile, as far as there are any. ABORT
+        says no; a trial has still to be decided on."""
         self.set_phase("deciding" if kind == "decide" else "asking", kind, "note", **shown)
         while not self._asks.closed:
             patience_s = self.look_s if fish.sim is not None else 0.0
@@ -428,6 +424,7 @@ class Worker:
                 fish.link.run(self.look_s)
             except LinkLostError:  # whoever talks to the board next finds that out
                 patience_s = self.look_s
+            self._drain_camera()
             self._asks.wait(patience_s, kind, "note")
             while (note := self._asks.take("note")) is not None:
                 self.trials.note(**note.values)
@@ -436,3 +433,11 @@ class Worker:
             if (ask := self._asks.take(kind)) is not None:
                 return ask
         raise Closed("the page was closed.", "The trial waits on the board.")
+
+    def _drain_camera(self) -> None:
+        """One that nobody reads is cut off when too much waits. That it is gone it says once."""
+        try:
+            if self._camera is not None:
+                self._camera.frames()
+        except (TailbeatError, OSError) as error:
+            self.screen.trouble(error)

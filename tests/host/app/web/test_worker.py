@@ -19,10 +19,12 @@ from tailbeat.app.web.worker import Worker, simulated_camera
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError
 from tailbeat.core.reference import from_text
+from tailbeat.core.speed_source import Frame
 from tailbeat.experiment.library import FOLDER_VARIABLE
 from tailbeat.experiment.store import Journal
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.messages import BeatEvent
+from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.session.preflight_step import PreflightLimits
 from tailbeat.session.series import SeriesEnd
 from tailbeat.sim.board import SimBoard, SimTransport
@@ -371,12 +373,22 @@ def test_what_makes_no_sense_now_is_refused(ready: Tank) -> None:
     assert refused == ["swim", "upload", "clear"]
 
 
-def test_notes_are_taken_while_it_waits_for_a_decision(ready: Tank) -> None:
+def test_notes_and_pictures_are_taken_while_it_waits_for_a_decision(
+    ready: Tank, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A camera that nobody reads from is cut off by its program after a while."""
+    frames, read_in = SimulatedCamera.frames, set[str]()
+
+    def read(camera: SimulatedCamera) -> list[Frame]:
+        read_in.add(ready.worker.now.phase)
+        return frames(camera)
+
+    monkeypatch.setattr(SimulatedCamera, "frames", read)
     ready.ask("swim", preflight=False)
     ready.worker.ask("note", text="water 22 degrees")
     ready.wait(lambda now: any("water 22 degrees" in line for line in now.log))
     assert [entry["text"] for entry in ready.journal("note")] == ["water 22 degrees"]
-    assert ready.worker.now.phase == "deciding"
+    assert ready.worker.now.phase == "deciding" and "deciding" in read_in
 
 
 def test_a_note_before_the_first_swim_waits_for_the_experiment(tmp_path: Path) -> None:
