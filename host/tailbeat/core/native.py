@@ -71,19 +71,6 @@ def _present(path: Path) -> Path:
     return path
 
 
-def layout_mismatches(native: Native) -> list[str]:
-    """Structs whose size differs between cffi's reading of the headers and the compiled library."""
-    wrong = []
-    row = native.lib.native_layout()
-    while row.name != native.ffi.NULL:
-        name = native.ffi.string(row.name).decode()
-        size = native.ffi.sizeof(name)
-        if size != row.size_bytes:
-            wrong.append(f"{name}: {size} bytes here, {row.size_bytes} in the library")
-        row += 1
-    return wrong
-
-
 class _OnFirstUse:
     """Stands for one part of the loaded library and keeps what was looked up in it.
 
