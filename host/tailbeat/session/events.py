@@ -35,10 +35,12 @@ class Countdown:
 
 @dataclass(frozen=True)
 class TrialStarted:
-    """The board executes the trial."""
+    """The board executes the trial. ``run``: names one that follows no reference of the fish's, to
+    trim or to measure it."""
 
     trial: int
     iteration: int
+    run: str = ""
 
 
 @dataclass(frozen=True)

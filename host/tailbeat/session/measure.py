@@ -208,8 +208,9 @@ class _Runs:
         if self.limits is not None:
             prepare(fish, self.limits, self.camera, operator, run.travel)
             countdown(fish, self.limits, operator)
-        guarded = self._guarded(allowed, predicted, belief)
-        outcome = run_trial(fish, self.camera, operator.tell, guards_of(guarded))
+        guards = guards_of(self._guarded(allowed, predicted, belief))
+        name = f"measuring run {run.number}"
+        outcome = run_trial(fish, self.camera, operator.tell, guards, run_name=name)
         trial = board.collect(outcome, self._judge, self._keep)
         self.count += 1
         self.straight = heading_drift(trial) or self.straight

@@ -116,8 +116,8 @@ def log_line(event: Event) -> str:
     match event:
         case StepProgress(step, text, ok):
             return "" if ok is None else f"{step}: {text}"
-        case TrialStarted(trial, iteration):
-            return f"trial {trial} runs, iteration {iteration}"
+        case TrialStarted(trial, iteration, run):
+            return f"trial {trial} runs, {run or f'iteration {iteration}'}"
         case TrialEnded(trial, end):
             return f"trial {trial} has ended: {end}"
     return alert(event) or result(event)

@@ -69,6 +69,7 @@ class _Run:
     may_swim: bool = False
     restarted: bool = False
     direction_rad: float = 0.0
+    name: str = ""
 
 
 def run_trial(
@@ -78,6 +79,7 @@ def run_trial(
     guard: Guard | None = None,
     reconnect_s: float = 60.0,
     direction_rad: float = 0.0,
+    run_name: str = "",
 ) -> TrialOutcome:
     """Execute the next trial; return when the board has stopped and the trial is stored.
 
@@ -103,6 +105,8 @@ def run_trial(
         How long a broken link is tried again, s of the transport's clock.
     direction_rad : float
         Direction of the fish at its start in the tank's frame, rad; 0 = along x.
+    run_name : str
+        Of a run to trim or to measure the fish, for ``TrialStarted``.
 
     Returns
     -------
@@ -116,7 +120,8 @@ def run_trial(
     LinkLostError
         The link broke and stayed so; the board stops by its own rules.
     """
-    run = _Run(fish, on_event or (lambda _: None), guard, reconnect_s, direction_rad=direction_rad)
+    run = _Run(fish, on_event or (lambda _: None), guard, reconnect_s)
+    run.direction_rad, run.name = direction_rad, run_name
     with camera_of(fish, camera) as used:
         return _execute(run, used)
 
@@ -199,7 +204,7 @@ def _start(run: _Run) -> None:
             fish.abort()  # the board may have got the command already
         raise
     run.progress_at_s = fish.transport.now_s()
-    run.emit(TrialStarted(run.number, run.iteration))
+    run.emit(TrialStarted(run.number, run.iteration, run.name))
 
 
 def _send_start(run: _Run) -> None:

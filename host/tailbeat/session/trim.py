@@ -264,7 +264,8 @@ class _TrimRunner:
             self.board.params, planned.predicted_m_s, self.operator.wants_abort, self.guard
         )
         seen = FrameRecorder()
-        outcome = run_trial(fish, self.camera, self.operator.tell, guards_of(guarded, seen))
+        guards, name = guards_of(guarded, seen), f"trim run {number}"
+        outcome = run_trial(fish, self.camera, self.operator.tell, guards, run_name=name)
         trial = self.board.collect(outcome, self._judge, self._keep)
         return _Log(centre_us, trial, _since_begin(fish, self.camera, seen.frames, trial))
 

@@ -37,8 +37,7 @@ _NOT_KEPT = (
 
 def speed_chart(now: PageState) -> Options:
     """Reference and measured speed per beat, mm/s."""
-    reference = [round(v * 1e3, 2) for v in now.reference_m_s]
-    measured = [None if v is None else round(v * 1e3, 2) for v in now.speed_m_s]
+    reference, measured = _mm(now.reference_m_s), _mm(now.speed_m_s)
     dots: Options = {"symbol": "circle", "symbolSize": 6, "showAllSymbol": True}
     options = _frame(
         "mm/s",
@@ -47,10 +46,11 @@ def speed_chart(now: PageState) -> Options:
             *(_earlier(curve) for curve in _overlaid(now)),
             _series("measured", "line", measured, MEASURED, lineStyle=_SOLID, **dots),
         ],
-        beats=len(reference),
-        top=_above([*reference, *(v for v in measured if v is not None)]),
+        beats=len(measured),
+        top=_above([v for v in (*reference, *measured) if v is not None]),
     )
-    options["legend"]["data"] = [{"name": "reference", "icon": _DASHES}, {"name": "measured"}]
+    of = [{"name": "reference", "icon": _DASHES}] if reference else []
+    options["legend"]["data"] = [*of, {"name": "measured"}]
     return options
 
 
@@ -77,7 +77,7 @@ def beat_error_chart(now: PageState) -> Options:
     without a speed are marked."""
     error = [
         None if v is None else round((wanted - v) * 1e3, 2)
-        for wanted, v in zip(now.reference_m_s, now.speed_m_s, strict=True)
+        for wanted, v in zip(now.reference_m_s, now.speed_m_s, strict=not now.run)
     ]
     curve = next((one for one in now.curves if one.trial == now.trial), None)
     flags = curve.saturated if curve is not None else ()
@@ -199,7 +199,7 @@ def amplitude_chart(now: PageState) -> Options:
     top = None
     if now.amplitude_max_rad is not None:
         limit = math.degrees(now.amplitude_max_rad)
-        top = _above([limit])
+        top = _above([limit, *(a for a in degrees if a is not None)])  # a run may go beyond it
         bars["markLine"] = _line(limit, f"limit {limit:.0f}°", LIMIT)
     return _frame("degrees", [bars], beats=len(degrees), top=top)
 
@@ -342,6 +342,8 @@ def _frame(unit: str, series: list[Options], beats: int, top: float | None) -> O
 
 def speed_text(now: PageState) -> str:
     """As ``speed_chart``."""
+    if now.run:
+        return f"{now.run}, without a reference; {_measured(now.speed_m_s)}"
     if not now.reference_m_s:
         return "no reference yet"
     of = f"reference {_range(now.reference_m_s)} mm/s over {len(now.reference_m_s)} beats"
@@ -352,7 +354,7 @@ def beat_error_text(now: PageState) -> str:
     """As ``beat_error_chart``."""
     errors = [
         (abs(wanted - v), k)
-        for k, (wanted, v) in enumerate(zip(now.reference_m_s, now.speed_m_s, strict=True), 1)
+        for k, (wanted, v) in enumerate(zip(now.reference_m_s, now.speed_m_s, strict=False), 1)
         if v is not None
     ]
     if not errors:

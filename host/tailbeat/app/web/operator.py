@@ -51,7 +51,7 @@ class PageOperator:
         match event:
             case LearnReport() | TrialDecided(_, Decision("repeat" | "discard")):
                 worker.trials.refresh()
-            case StepEnded(name="reference", done=True):
+            case StepEnded():  # whatever it has run, the board has its reference again
                 worker.look_at_reference(self.fish)
 
     def wants_abort(self) -> bool:

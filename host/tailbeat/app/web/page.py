@@ -189,7 +189,8 @@ class Page:
         parts.question_dialog(live)
         moving = "moving", "calm"
         live.look(root, lambda now: moving[now.phase not in (*MOVING, "connecting")], *moving)
-        live.look(root, lambda now: "filled" if now.reference_m_s else "bare", "filled", "bare")
+        found = "bare", "filled"
+        live.look(root, lambda now: found[bool(now.reference_m_s or now.run)], *found)
         live.follow(
             lambda now: f"data-phase={now.phase} data-state={now.state or 'none'}", root.props
         )

@@ -73,18 +73,18 @@ class TrialCurve:
 class PageState:
     """What the page shows. ``serial`` grows with every change. ``reference_m_s``, ``speed_m_s``,
     ``amplitude_rad``: of the trial under way or the last one, one per beat, None for what is not
-    known. ``next_trial``, ``iteration``, ``travel``: of the trial that START begins. ``pending``: a
-    trial that waits on the board. ``problem``: one line for a person, with what to do. ``fault``:
-    why the board stopped, likewise; empty = it has not. ``logged``: lines since the beginning, of
-    which ``log`` holds the last. ``done``: how many wishes have been dealt with. ``guide``: of the
-    guided job, ``law`` and ``diagnosis`` in words. ``track``: where the camera saw the fish, from
-    the start of the trial, x ahead and y to the right; ``start_pose``: x, y and heading there, of
-    the trial before until it is seen. ``walls``: corners of the water likewise, by the camera's
-    calibration, empty = not known; ``end_walls_m``: where ``TANK_LEN_M`` has the walls behind and
-    ahead of the start. ``room_m``: the tank clearance. ``curves``: of the trials in ``rows``, and
-    ``made_by``: what made the input of each. ``params``: empty = not read yet. ``number``: that a
-    question wants typed. ``reported``: counts the reports; ``pictures``: whether there is a
-    camera's picture."""
+    known. ``run``: the name of one without a reference, see TrialStarted. ``next_trial``,
+    ``iteration``, ``travel``: of the trial that START begins. ``pending``: a trial that waits on
+    the board. ``problem``: one line for a person, with what to do. ``fault``: why the board
+    stopped, likewise; empty = it has not. ``logged``: lines since the beginning, of which ``log``
+    holds the last. ``done``: how many wishes have been dealt with. ``guide``: of the guided job,
+    ``law`` and ``diagnosis`` in words. ``track``: where the camera saw the fish, from the start of
+    the trial, x ahead and y to the right; ``start_pose``: x, y and heading there, of the trial
+    before until it is seen. ``walls``: corners of the water likewise, by the camera's calibration,
+    empty = not known; ``end_walls_m``: where ``TANK_LEN_M`` has the walls behind and ahead of the
+    start. ``room_m``: the tank clearance. ``curves``: of the trials in ``rows``, and ``made_by``:
+    what made the input of each. ``params``: empty = not read yet. ``number``: that a question wants
+    typed. ``reported``: counts the reports; ``pictures``: whether there is a camera's picture."""
 
     serial: int = 0
     phase: Phase = "connecting"
@@ -103,6 +103,7 @@ class PageState:
     pending: int | None = None
     travel: str = ""
     trial: int | None = None
+    run: str = ""
     beat_s: float = 1.0
     beat: int | None = None
     step: str = ""
@@ -192,8 +193,8 @@ def _changed(now: PageState, event: Event) -> PageState:
             return replace(now, problem=_CUT)
         case LinkRestored():
             return replace(now, problem="" if now.problem == _CUT else now.problem)
-        case TrialStarted(trial):
-            return replace(_cleared(now, trial), phase="swimming", step="", left_s=None)
+        case TrialStarted(trial, _, run):
+            return replace(_cleared(now, trial, run), phase="swimming", step="", left_s=None)
         case BeatEvent():
             return _with_beat(now, event)
         case LiveValues():
@@ -250,11 +251,13 @@ def corners(area_m: F64 | None) -> tuple[Point, ...]:
     return () if area_m is None else tuple((float(x), float(y)) for x, y in area_m)
 
 
-def _cleared(now: PageState, trial: int) -> PageState:
-    none = (None,) * len(now.reference_m_s)
+def _cleared(now: PageState, trial: int, run: str = "") -> PageState:
+    reference = () if run else now.reference_m_s
+    none = (None,) * len(reference)
     return replace(
-        now, trial=trial, speed_m_s=none, amplitude_rad=none, recorded=None, track=(), diagnosis=""
-    )
+        now, trial=trial, run=run, reference_m_s=reference, speed_m_s=none, amplitude_rad=none,
+        recorded=None, track=(), diagnosis="",
+    )  # fmt: skip
 
 
 def _step(now: PageState, event: StepProgress) -> PageState:
@@ -269,6 +272,8 @@ def _with_beat(now: PageState, beat: BeatEvent) -> PageState:
     for name in ("speed_m_s", "amplitude_rad"):
         old: tuple[float | None, ...] = getattr(now, name)
         value = getattr(beat, name)
+        if now.run:  # how many there will be it does not say
+            old += (None,) * (beat.beat + 1 - len(old))
         if 0 <= beat.beat < len(old) and value is not None:
             changes[name] = (*old[: beat.beat], value, *old[beat.beat + 1 :])
     return replace(now, **changes)

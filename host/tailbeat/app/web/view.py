@@ -44,10 +44,10 @@ DECISIONS = {
 
 def phase_line(now: PageState) -> str:
     """What is going on, as a headline."""
-    if now.phase == "swimming" and now.reference_m_s:
-        beat = "" if now.beat is None else f": beat {min(now.beat + 1, len(now.reference_m_s))}"
-        running = PHASES["swimming"]
-        return f"{running}{beat} of {len(now.reference_m_s)}" if beat else running
+    if now.phase == "swimming":
+        running, of = now.run.capitalize() or PHASES["swimming"], len(now.reference_m_s)
+        beat = None if now.beat is None else min(now.beat + 1, of or now.beat + 1)
+        return running if beat is None else f"{running}: beat {beat}" + (f" of {of}" if of else "")
     if now.phase == "countdown" and now.left_s is not None:
         return f"Hands out of the water: {now.left_s:.0f}"
     if now.phase == "deciding" and now.recorded is not None:
@@ -89,7 +89,8 @@ def live_line(now: PageState) -> str:
     beat = max((k for k, v in enumerate(now.speed_m_s) if v is not None), default=None)
     if now.phase != "swimming" or beat is None:
         return ""
-    line = f"{mm(now.speed_m_s[beat])} mm/s, reference {mm(now.reference_m_s[beat])}"
+    line = f"{mm(now.speed_m_s[beat])} mm/s"
+    line += f", reference {mm(now.reference_m_s[beat])}" if now.reference_m_s else ""
     amplitude = now.amplitude_rad[beat]
     return line if amplitude is None else f"{line}; tail ±{math.degrees(amplitude):.0f}°"
 
@@ -116,14 +117,14 @@ def next_line(now: PageState) -> str:
     """What START will do."""
     if now.pending is not None and now.phase == "idle":
         return f"Trial {now.pending} is not decided yet: START asks about it first."
+    if now.phase not in ("idle", "connecting"):
+        return ""
     if not now.reference_m_s and now.experiment:
         what = "it and what was learned along it; another one (below) begins anew"
         return f"The board has lost its reference. START restores {what}."
     if not now.reference_m_s:
         return "The board has no reference yet. START uploads the thesis's; choose another below."
     line = f"START: trial {now.next_trial}, iteration {max(now.iteration, 1)}"
-    if now.phase not in ("idle", "connecting"):
-        return ""
     return f"{line}; {now.travel}" if now.travel else line
 
 

@@ -316,7 +316,7 @@ class Worker:
         speeds = tuple(map(float, found.speed_m_s)) if found else ()
         if speeds != self.now.reference_m_s:
             none = (None,) * len(speeds)
-            self.screen.set(speed_m_s=none, amplitude_rad=none, trial=None)
+            self.screen.set(speed_m_s=none, amplitude_rad=none, trial=None, run="")
         self.screen.set(
             reference_m_s=speeds,
             beat_s=found.beat_s if found else 1.0,

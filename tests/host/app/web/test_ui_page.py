@@ -289,6 +289,24 @@ def test_a_new_trial_wipes_the_old_one() -> None:
     assert view.live_line(now) == "30.0 mm/s, reference 50.0; tail ±11°"
 
 
+def test_a_run_has_its_speed_alone() -> None:
+    """It swims along no reference of the fish's, and may go beyond the limit."""
+    now = after(NOW, TrialStarted(4, 3, "measuring run 1"), "12:00:00")
+    for beat in (0, 5):
+        event = BeatEvent(4, beat, 0.2 * beat, 0.02, 0.03, 0.001, 9, False, False)
+        now = after(now, event, f"12:00:0{beat}")
+    assert view.phase_line(replace(now, beat=5)) == "Measuring run 1: beat 6"
+    assert view.live_line(now) == "30.0 mm/s; tail ±57°"
+    reference, measured = charts.speed_chart(now)["series"]
+    assert reference["data"] == [] and measured["data"] == [30.0, *[None] * 4, 30.0]
+    assert charts.amplitude_chart(now)["yAxis"]["max"] > 57
+    assert charts.beat_error_chart(now)["series"][0]["data"] == []
+    assert charts.beat_error_text(now) == "nothing measured yet"
+    assert charts.speed_text(now).startswith("measuring run 1, without a reference; measured 30.0")
+    trial = after(replace(NOW, run="measuring run 1"), TrialStarted(5, 3), "12:00:06")
+    assert view.phase_line(replace(trial, beat=1)) == "Trial running: beat 2 of 4"
+
+
 def test_the_log_forgets_its_oldest_lines() -> None:
     now = NOW
     for number in range(LOG_LINES + 5):
