@@ -276,7 +276,7 @@ def _abort(browser: Browser) -> None:
     """In the middle of the fourth, with the key of a laptop; dropped with a reason. Only a trial
     with speeds is decided on: a starved camera has none for a while."""
     _start(browser, "swimming")
-    browser.until("/beat ([4-9]|[0-9]{2,}) of/.test(document.querySelector('.headline').innerText)")
+    browser.until("/: ([4-9]|[0-9]{2,}) of/.test(document.querySelector('.headline').innerText)")
     browser.chart("speed-chart", 1, 3)
     browser.require_abort(*LAPTOP)
     ActionChains(browser.driver).send_keys(Keys.ESCAPE).perform()
@@ -328,7 +328,7 @@ def _silence(browser: Browser, fish: Any) -> None:
 def _end_in_a_trial(browser: Browser, page: Any) -> None:
     """Ctrl-C while the tail beats; the page says that it hears nothing any more."""
     _start(browser, "swimming")
-    browser.until("/beat ([3-9]|[0-9]{2,}) of/.test(document.querySelector('.headline').innerText)")
+    browser.until("/: ([3-9]|[0-9]{2,}) of/.test(document.querySelector('.headline').innerText)")
     page.send_signal(signal.SIGINT)
     assert page.wait(PATIENCE_S) == 0
     asked_for = [line for line in page.stderr if not line.endswith("/settings.json not found\n")]

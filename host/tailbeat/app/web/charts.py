@@ -330,7 +330,7 @@ def _frame(unit: str, series: list[Options], beats: int, top: float | None) -> O
             "textStyle": {"color": _INK},
             "axisPointer": {"lineStyle": {"color": REFERENCE}},
         },
-        "xAxis": _x_axis("beat") | {"type": "category", "data": list(range(1, beats + 1))},
+        "xAxis": _x_axis("beat, from 0") | {"type": "category", "data": list(range(beats))},
         "yAxis": value,
         "series": series,
     }
@@ -354,7 +354,7 @@ def beat_error_text(now: PageState) -> str:
     """As ``beat_error_chart``."""
     errors = [
         (abs(wanted - v), k)
-        for k, (wanted, v) in enumerate(zip(now.reference_m_s, now.speed_m_s, strict=False), 1)
+        for k, (wanted, v) in enumerate(zip(now.reference_m_s, now.speed_m_s, strict=False))
         if v is not None
     ]
     if not errors:

@@ -45,9 +45,9 @@ DECISIONS = {
 def phase_line(now: PageState) -> str:
     """What is going on, as a headline."""
     if now.phase == "swimming":
-        running, of = now.run.capitalize() or PHASES["swimming"], len(now.reference_m_s)
-        beat = None if now.beat is None else min(now.beat + 1, of or now.beat + 1)
-        return running if beat is None else f"{running}: beat {beat}" + (f" of {of}" if of else "")
+        running, beats = now.run.capitalize() or PHASES["swimming"], len(now.reference_m_s)
+        of = f" of {beats}" if beats else ""
+        return running if now.beat is None else f"{running}: {now.beat}{of} beats done"
     if now.phase == "countdown" and now.left_s is not None:
         return f"Hands out of the water: {now.left_s:.0f}"
     if now.phase == "deciding" and now.recorded is not None:

@@ -163,9 +163,10 @@ def test_charts_in_words() -> None:
         " 40.0"
     )
     assert charts.beat_error_text(now) == (
-        "largest 10.0 mm/s at beat 2; 2 beats measured; 2 beats at the amplitude limit; error bound"
+        "largest 10.0 mm/s at beat 1; 2 beats measured; 2 beats at the amplitude limit; error bound"
         " 10.7 mm/s"
     )
+    assert charts.speed_chart(now)["xAxis"]["data"] == [0, 1, 2, 3], "as in words and in files"
     assert charts.amplitude_text(now) == "6 to 17 degrees over 2 beats; limit 29 degrees"
     assert charts.error_text(now) == (
         "iteration 1 73.0, iteration 2 43.3 mm/s; error bound 10.7 mm/s"
@@ -295,7 +296,7 @@ def test_a_run_has_its_speed_alone() -> None:
     for beat in (0, 5):
         event = BeatEvent(4, beat, 0.2 * beat, 0.02, 0.03, 0.001, 9, False, False)
         now = after(now, event, f"12:00:0{beat}")
-    assert view.phase_line(replace(now, beat=5)) == "Measuring run 1: beat 6"
+    assert view.phase_line(replace(now, beat=5)) == "Measuring run 1: 5 beats done"
     assert view.live_line(now) == "30.0 mm/s; tail ±57°"
     reference, measured = charts.speed_chart(now)["series"]
     assert reference["data"] == [] and measured["data"] == [30.0, *[None] * 4, 30.0]
@@ -304,7 +305,7 @@ def test_a_run_has_its_speed_alone() -> None:
     assert charts.beat_error_text(now) == "nothing measured yet"
     assert charts.speed_text(now).startswith("measuring run 1, without a reference; measured 30.0")
     trial = after(replace(NOW, run="measuring run 1"), TrialStarted(5, 3), "12:00:06")
-    assert view.phase_line(replace(trial, beat=1)) == "Trial running: beat 2 of 4"
+    assert view.phase_line(replace(trial, beat=1)) == "Trial running: 1 of 4 beats done"
 
 
 def test_the_log_forgets_its_oldest_lines() -> None:
