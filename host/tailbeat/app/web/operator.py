@@ -62,7 +62,7 @@ class PageOperator:
         """Whoever decides first decides."""
         self.worker.trials.refresh()
         ask = self.worker.answered(self.fish, "decide", recorded=recorded, step="", left_s=None)
-        self.worker.set_phase("working", "note", recorded=None, steps=())
+        self.worker.set_phase("working", "note", recorded=None)
         return Decision(ask.values["kind"], ask.values["reason"])
 
     def confirm(self, question: str) -> bool:

@@ -27,6 +27,7 @@ from tailbeat.session.events import (
     StepEnded,
     StepProgress,
     TrialDiagnosed,
+    TrialEnded,
     TrialStarted,
 )
 from tailbeat.session.guards import LENGTH_M, NOSE_M
@@ -195,6 +196,8 @@ def _changed(now: PageState, event: Event) -> PageState:
             return replace(now, problem="" if now.problem == _CUT else now.problem)
         case TrialStarted(trial, _, run):
             return replace(_cleared(now, trial, run), phase="swimming", step="", left_s=None)
+        case TrialEnded():
+            return replace(now, steps=())  # of the checks before it
         case BeatEvent():
             return _with_beat(now, event)
         case LiveValues():
@@ -214,11 +217,10 @@ def _changed(now: PageState, event: Event) -> PageState:
 
 
 def _guided(now: PageState, step: GuideStep) -> PageState:
-    """Steps keep their places; a new one ends the one before it."""
-    before = tuple(
-        replace(one, done=True) if one.done is None and one.name != step.name else one
-        for one in now.guide
-    )
+    """Steps keep their places; one that begins ends the one before it."""
+    before = now.guide
+    if step.done is None:
+        before = tuple(replace(one, done=one.done is not False) for one in before)
     names = [one.name for one in before]
     if step.name in names:
         at = names.index(step.name)

@@ -18,6 +18,7 @@ from tailbeat.session.events import (
     StepBegun,
     StepEnded,
     StepProgress,
+    TrialEnded,
     TrialStarted,
 )
 from tailbeat.session.outcome import Travel
@@ -218,7 +219,7 @@ def test_steps_of_the_guided_job() -> None:
     now = after(now, StepBegun(2, 5, "commission", "get to know it", "6 min"), "12:00:02")
     now = after(now, StepEnded("tank", False, "no room"), "12:00:03")
     assert [(one.name, one.done) for one in now.guide] == [
-        ("health", True), ("commission", True), ("tank", False),
+        ("health", True), ("commission", None), ("tank", False),
     ]  # fmt: skip
 
 
@@ -279,6 +280,8 @@ def test_steps_keep_their_places() -> None:
     assert now.phase == "preflight"
 
 
+    ended = after(now, TrialEnded(4, "complete"), "12:01:00")
+    assert ended.steps == (), "no ticks of it when the next checks begin"
 def test_a_new_trial_wipes_the_old_one() -> None:
     now = after(NOW, TrialStarted(4, 3), "12:00:00")
     assert (now.phase, set(now.speed_m_s), set(now.amplitude_rad)) == ("swimming", {None}, {None})
