@@ -247,4 +247,4 @@ def report_card(live: Live) -> None:
                 ui.label("Open the report")
             link.props('href="/report" target="_blank" rel="noopener"')
     live.follow(lambda now: bool(now.rows) and now.phase == "idle", write.set_enabled)
-    live.follow(lambda now: now.reported > 0, link.set_visibility)
+    live.follow(lambda now: now.reported, link.set_visibility)

@@ -76,16 +76,17 @@ class PageState:
     ``amplitude_rad``: of the trial under way or the last one, one per beat, None for what is not
     known. ``run``: the name of one without a reference, see TrialStarted. ``next_trial``,
     ``iteration``, ``travel``: of the trial that START begins. ``pending``: a trial that waits on
-    the board. ``problem``: one line for a person, with what to do. ``fault``: why the board
-    stopped, likewise; empty = it has not. ``logged``: lines since the beginning, of which ``log``
-    holds the last. ``done``: how many wishes have been dealt with. ``guide``: of the guided job,
-    ``law`` and ``diagnosis`` in words. ``track``: where the camera saw the fish, from the start of
-    the trial, x ahead and y to the right; ``start_pose``: x, y and heading there, of the trial
-    before until it is seen. ``walls``: corners of the water likewise, by the camera's calibration,
-    empty = not known; ``end_walls_m``: where ``TANK_LEN_M`` has the walls behind and ahead of the
-    start. ``room_m``: the tank clearance. ``curves``: of the trials in ``rows``, and ``made_by``:
-    what made the input of each. ``params``: empty = not read yet. ``number``: that a question wants
-    typed. ``reported``: counts the reports; ``pictures``: whether there is a camera's picture."""
+    the board. ``problem``: one line for a person, with what to do. ``failed``: which request ended
+    with it, or which parameter. ``fault``: why the board stopped, likewise; empty = it has not.
+    ``logged``: lines since the beginning, of which ``log`` holds the last. ``done``: how many
+    wishes have been dealt with. ``guide``: of the guided job, ``law`` and ``diagnosis`` in words.
+    ``track``: where the camera saw the fish, from the start of the trial, x ahead and y to the
+    right; ``start_pose``: x, y and heading there, of the trial before until it is seen. ``walls``:
+    corners of the water likewise, by the camera's calibration, empty = not known; ``end_walls_m``:
+    where ``TANK_LEN_M`` has the walls behind and ahead of the start. ``room_m``: the tank
+    clearance. ``curves``: of the trials in ``rows``, and ``made_by``: what made the input of each.
+    ``params``: empty = not read yet. ``number``: that a question wants typed. ``reported``: whether
+    the experiment has a report; ``pictures``: whether there is a camera's picture."""
 
     serial: int = 0
     phase: Phase = "connecting"
@@ -137,7 +138,7 @@ class PageState:
     curves: tuple[TrialCurve, ...] = ()
     params: tuple[Parameter, ...] = ()
     number: float | None = None
-    reported: int = 0
+    reported: bool = False
     pictures: bool = False
 
 

@@ -105,14 +105,14 @@ class PageTrials:
 
     def refresh(self) -> None:
         """Shows the trials as they are in the folder now."""
+        name = self.experiment.name if self.experiment is not None else ""
+        self._screen.set(experiment=name, reported=self.report_page() is not None)
         if self.experiment is None or not any(self.experiment.raw.glob("*.ulg")):
-            name = self.experiment.name if self.experiment is not None else ""
             self._screen.set(
                 rows=(), made_by=(), curves=(), error_bound_m_s=None, start_error_m_s=None,
-                assessment="", diagnosis="", experiment=name,
+                assessment="", diagnosis="",
             )  # fmt: skip
             return
-        self._screen.set(experiment=self.experiment.name)
         try:
             found = analyse(self.experiment)
             entries = list(self.experiment.journal.entries())
@@ -149,7 +149,7 @@ class PageTrials:
             raise InputError("there is nothing to report yet.", "Run a trial first.")
         page = write_report(self.experiment).page
         write_redo(self.experiment)
-        self._screen.set(reported=self._screen.now.reported + 1)
+        self._screen.set(reported=True)
         self._screen.say(f"report {page}")
 
     def report_page(self) -> Path | None:

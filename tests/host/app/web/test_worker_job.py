@@ -57,7 +57,7 @@ def test_from_an_unknown_fish_to_a_report(worker: Worker) -> None:
     assert now.amplitude_max_rad is not None and now.amplitude_max_rad > 0.5
     assert len(now.rows) == len(now.curves) == 1 and len(now.reference_m_s) == 40
     assert None not in now.curves[0].speed_m_s and "model-based" in now.law
-    assert now.reported == 1 and worker.trials.report_page() is not None
+    assert now.reported and worker.trials.report_page() is not None
     assert now.track and now.room_m == pytest.approx(2.64, abs=0.01)
     assert now.end_walls_m == pytest.approx((-0.16, 2.84), abs=0.01)
     assert now.start_pose[:2] == pytest.approx((0.0, 0.0), abs=0.05)
@@ -111,4 +111,6 @@ def test_nothing_is_reported_before_a_trial(worker: Worker) -> None:
     done(worker, "upload", reference=from_text("trapezoid:0.06,2,4"))
     now, asked = start_on_page(worker, "1", "never")
     assert asked == [] and now.guide == () and len(now.rows) == 1
-    assert done(worker, "report").reported == 1
+    assert done(worker, "report").reported
+    now = done(worker, "upload", reference=from_text("trapezoid:0.05,2,4"))
+    assert now.experiment == "" and not now.reported, "the link would lead to nothing"
