@@ -264,6 +264,10 @@ def _begin_anew(browser: Browser) -> None:
     browser.press(".reference .q-item", "document.querySelector('.use')?.checkVisibility()")
     browser.press(".use", asks)  # the same reference as before
     browser.press(".dialog .sure + button", f"!({asks})")
+    browser.type(".shape input", "trapezoid:0.1,5,60")
+    browser.press(".use", asks)
+    browser.press(".sure", "document.querySelector('.reference .refusal')?.checkVisibility()")
+    assert "tank has" in browser.text(".reference .refusal"), "beside what was pressed"
     browser.type(".shape input", "trapezoid:0.01,5,180")
     browser.press(".use", asks)
     browser.press(

@@ -65,6 +65,7 @@ class ReferenceCard:
                 self._text = ui.input("Shape", value="thesis").props("outlined").classes("shape")
                 ui.button("Use it", on_click=self._by_text).classes("use").style("min-height:56px")
             self._file()
+            live.refusal("upload")
         label = 'aria-label="Change the reference?"'
         with (
             ui.dialog().props(f"{parts.AT_ONCE} {label}") as self._sure,
@@ -74,16 +75,12 @@ class ReferenceCard:
             with ui.element("div").classes("choices").style("grid-template-columns:1fr 1fr"):
                 ui.button("Change it", on_click=self._use).classes("sure")
                 ui.button("Cancel", on_click=self._sure.close).props("outline")
-        live.follow(self._is_found, self._unfold)
+        live.follow(self._found, lambda found: self._fold.set_value(not found))
 
-    def _is_found(self, now: PageState) -> bool:
+    def _found(self, now: PageState) -> object:
+        """What folds it: a reference, or that it is not known yet whether there is one."""
         self._is_known = self._is_known or now.phase not in ("connecting", "failed")
-        return self._is_known
-
-    def _unfold(self, is_found: bool) -> None:
-        """For a board without a reference, once it is known which this is."""
-        if is_found:
-            self._fold.set_value(not self._live.worker.now.reference_m_s)
+        return now.reference_m_s or now.run or not self._is_known
 
     def _file(self) -> None:
         """Chosen in the browser itself: it opens its window of files only straight from a tap."""
@@ -125,8 +122,7 @@ class ReferenceCard:
 
     def _use(self) -> None:
         self._sure.close()
-        if self._live.ask("upload", reference=self._chosen):
-            self._fold.set_value(False)
+        self._live.ask("upload", reference=self._chosen)
 
 
 def notes_card(live: Live) -> None:
@@ -175,6 +171,7 @@ def limit_card(live: Live) -> None:
                 "Set", on_click=lambda: live.ask("set", name=AMP_MAX, value=number.value or "")
             )
             set_.props('outline aria-label="Set the amplitude limit"').classes("set-limit tall")
+        live.refusal(AMP_MAX)
 
 
 def _limit_line(now: PageState) -> str:
@@ -205,7 +202,7 @@ class ParamsCard:
             self._search.classes("search").on_value_change(self._draw)
             self._count = ui.label().classes("hint")
             self._rows = ui.element("div").classes("param-rows")
-        live.follow(lambda now: now.params, lambda _: self._draw())
+        live.follow(lambda now: (now.params, now.failed and now.problem), lambda _: self._draw())
 
     def _unfold(self, change: events.ValueChangeEventArguments[bool]) -> None:
         if change.value and not self._live.worker.now.params:
@@ -234,6 +231,8 @@ class ParamsCard:
                 set_.classes("tall").on_click(
                     lambda: self._live.ask("set", name=param.name, value=value.value or "")
                 )
+            if (now := self._live.worker.now).failed == param.name:
+                ui.label(now.problem).classes("banner problem refusal")
 
 
 def report_card(live: Live) -> None:
@@ -246,5 +245,6 @@ def report_card(live: Live) -> None:
             with ui.element("a").classes("file open-report") as link:
                 ui.label("Open the report")
             link.props('href="/report" target="_blank" rel="noopener"')
+        live.refusal("report")
     live.follow(lambda now: bool(now.rows) and now.phase == "idle", write.set_enabled)
     live.follow(lambda now: now.reported, link.set_visibility)

@@ -53,12 +53,17 @@ def _swim(
     }
 
 
-def _set(name: str, value: object) -> dict[str, Any]:
+def number_of(text: object) -> float | None:
+    """As somebody types it; None: it is no number."""
     try:
-        number = float(str(value).strip().replace(",", "."))
+        number = float(str(text).strip().replace(",", "."))
     except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _set(name: str, value: object) -> dict[str, Any]:
+    if (number := number_of(value)) is None:
         raise InputError(f"'{value}' is no number.", "Write it like 0.55.")
     return {"name": name, "value": number}
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from tailbeat.app.web import state
-from tailbeat.app.web.inbox import Ask
+from tailbeat.app.web.inbox import Ask, number_of
 from tailbeat.app.web.state import PageState, Phase, Screen
 from tailbeat.app.web.trials import PageTrials
 from tailbeat.board.fish import Fish
@@ -79,14 +79,7 @@ class PageOperator:
             ask = worker.answered(self.fish, "answer", question=words, number=value)
             if not ask.values["yes"]:
                 break
-            typed = _number_of(ask.values["typed"])
+            typed = number_of(ask.values["typed"])
             more = f" '{ask.values['typed']}' is no number: type it, or answer no."
         worker.set_phase("working", "note", question="", number=None)
         return typed
-
-
-def _number_of(text: str) -> float | None:
-    try:
-        return float(text.strip().replace(",", "."))
-    except ValueError:
-        return None

@@ -96,6 +96,10 @@ class Live:
         self.follow(of, show)
         return label
 
+    def refusal(self, of: str) -> None:
+        """Why the request, or the change of the parameter, of this card failed."""
+        self.label(lambda now: now.problem if now.failed == of else "", "banner problem refusal")
+
     def drawn(
         self, of: Callable[[PageState], Shown], draw: Callable[[Shown], object], classes: str
     ) -> None:

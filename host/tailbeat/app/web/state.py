@@ -123,6 +123,7 @@ class PageState:
     start_error_m_s: float | None = None
     assessment: str = ""
     problem: str = ""
+    failed: str = ""
     fault: str = ""
     log: tuple[str, ...] = ()
     logged: int = 0
@@ -195,10 +196,10 @@ def _changed(now: PageState, event: Event) -> PageState:
             return replace(now, problem=_CUT)
         case LinkRestored():
             return replace(now, problem="" if now.problem == _CUT else now.problem)
-        case TrialStarted(trial, _, run):
-            return replace(_cleared(now, trial, run), phase="swimming", step="", left_s=None)
         case TrialEnded():
             return replace(now, steps=())  # of the checks before it
+        case TrialStarted(trial, _, run):
+            return replace(_cleared(now, trial, run), phase="swimming", step="", left_s=None)
         case BeatEvent():
             return _with_beat(now, event)
         case LiveValues():
@@ -312,11 +313,10 @@ class Screen:
 
     def trouble(self, error: Exception) -> None:
         """What is wrong, with what to do."""
-        words = str(error) if isinstance(error, TailbeatError) else reason(error)
-        is_new = (words := on_the_page(words)) != self.now.problem
-        self.set(problem=words)
-        if is_new:
+        words = on_the_page(str(error) if isinstance(error, TailbeatError) else reason(error))
+        if words != self.now.problem:
             self.say(words)
+        self.set(problem=words)
 
     def wait(self, until: Callable[[PageState], bool], patience_s: float = 10.0) -> PageState:
         """The first snapshot for which ``until`` holds. Raises TimeoutError."""

@@ -227,13 +227,14 @@ class Worker:
         if (ask := self._asks.take()) is None:
             return
         if ask.kind != "note":
-            self.screen.set(phase="working", problem="")
+            self.screen.set(phase="working", problem="", failed="")
         try:
             self._requests[ask.kind](fish, **ask.values)
         except (LinkLostError, ConnectError, Closed):
             raise
         except (TailbeatError, OSError) as error:
             self.screen.trouble(error)
+            self.screen.set(failed=str(ask.values.get("name", ask.kind)))
         if ask.kind != "note":
             self._settled(fish)
         self.screen.set(done=self.now.done + 1)

@@ -221,6 +221,8 @@ def test_steps_of_the_guided_job() -> None:
     assert [(one.name, one.done) for one in now.guide] == [
         ("health", True), ("commission", None), ("tank", False),
     ]  # fmt: skip
+    now = after(now, StepBegun(3, 5, "reference", "the speed to learn", "seconds"), "12:00:04")
+    assert [one.done for one in now.guide] == [True, True, False, None]
 
 
 @pytest.mark.parametrize(
@@ -278,10 +280,10 @@ def test_steps_keep_their_places() -> None:
         ("rest", True), ("pose", None), ("still", None),
     ]  # fmt: skip
     assert now.phase == "preflight"
-
-
     ended = after(now, TrialEnded(4, "complete"), "12:01:00")
     assert ended.steps == (), "no ticks of it when the next checks begin"
+
+
 def test_a_new_trial_wipes_the_old_one() -> None:
     now = after(NOW, TrialStarted(4, 3), "12:00:00")
     assert (now.phase, set(now.speed_m_s), set(now.amplitude_rad)) == ("swimming", {None}, {None})

@@ -94,7 +94,8 @@ def test_parameters_are_read_when_somebody_looks(worker: Worker) -> None:
     assert gain.text and len(now.params) > 50
     now = done(worker, "set", name="ILC_GAIN", value="2.5")
     assert next(one for one in now.params if one.name == "ILC_GAIN").value == pytest.approx(2.5)
-    assert "ILC_GAIN" in done(worker, "set", name="ILC_GAIN", value="-3").problem
+    now = done(worker, "set", name="ILC_GAIN", value="-3")
+    assert "ILC_GAIN" in now.problem and now.failed == "ILC_GAIN"  # shown beside it
     with pytest.raises(InputError, match="is no number"):
         worker.ask("set", name="ILC_GAIN", value="much")
     assert "was not measured" in done(worker, "set", name="AMP_MAX_RAD", value="0.7").problem
@@ -107,8 +108,9 @@ def test_health_is_a_step_of_its_own(worker: Worker) -> None:
 
 
 def test_nothing_is_reported_before_a_trial(worker: Worker) -> None:
-    assert "nothing to report" in done(worker, "report").problem
-    done(worker, "upload", reference=from_text("trapezoid:0.06,2,4"))
+    now = done(worker, "report")
+    assert "nothing to report" in now.problem and now.failed == "report"
+    assert done(worker, "upload", reference=from_text("trapezoid:0.06,2,4")).failed == ""
     now, asked = start_on_page(worker, "1", "never")
     assert asked == [] and now.guide == () and len(now.rows) == 1
     assert done(worker, "report").reported
