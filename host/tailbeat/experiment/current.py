@@ -201,9 +201,9 @@ def own_reference(fish: Fish) -> Reference:
     not its own (``require_own``)."""
 
     require_own(fish)
-    if (held := board_reference(fish)) is None:
+    if (held := held_reference(fish)) is None:
         raise refusal(NO_REFERENCE)
-    return _named(fish, held)
+    return held
 
 
 def make(
@@ -254,8 +254,11 @@ def _copy_identified(fish: Fish, experiment: Experiment) -> None:
         experiment.add_raw(_IDENTIFIED, path.read_bytes())
 
 
-def _named(fish: Fish, held: Reference) -> Reference:
-    """A board knows no names: the trial library does, and the thesis's is known by its CRC."""
+def held_reference(fish: Fish) -> Reference | None:
+    """As ``board_reference``, with its name. A board knows no names: the trial library does, and
+    the thesis's is known by its CRC."""
+    if (held := board_reference(fish)) is None:
+        return None
     book, usual = library_of(fish), thesis()
     name = book.reference_name(held.crc) if book is not None else None
     if name is None and held.crc == usual.crc:

@@ -215,6 +215,12 @@ def some_library(fish: Fish) -> Iterator[None]:
             fish.library_root = None
 
 
+def keep_run(library: TrialLibrary | None, path: Path) -> None:
+    """The trial of a run to trim or to measure the fish, where there is a library."""
+    if library is not None:
+        library.keep(path, RUN)
+
+
 def identified_of(library: TrialLibrary | None) -> Identified | None:
     """The identified fish of a library, if there are both. Raises InputError for a damaged file."""
     return None if library is None else library.identified()

@@ -9,7 +9,7 @@ a limit is raised to it. Meanwhile the board has a limit of that height; it gets
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
@@ -22,9 +22,9 @@ from tailbeat.core.speed_source import Camera
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift
 from tailbeat.experiment.library import (
     DISCARDED,
-    RUN,
     TrialLibrary,
     identified_if_readable,
+    keep_run,
     library_of,
     preserve_folder,
 )
@@ -211,7 +211,7 @@ class _Runs:
         guards = guards_of(self._guarded(allowed, predicted, belief))
         name = f"measuring run {run.number}"
         outcome = run_trial(fish, self.camera, operator.tell, guards, run_name=name)
-        trial = board.collect(outcome, self._judge, self._keep)
+        trial = board.collect(outcome, self._judge, partial(keep_run, self.book))
         self.count += 1
         self.straight = heading_drift(trial) or self.straight
         self.trials.append(trial_speeds(trial))
@@ -242,7 +242,3 @@ class _Runs:
             f" {outcome.executed_beats} beats; the limit stays.",
             "Put it right, then begin again with the same command.",
         )
-
-    def _keep(self, path: Path) -> None:
-        if self.book is not None:
-            self.book.keep(path, RUN)

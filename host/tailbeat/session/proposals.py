@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from tailbeat.board.fish import Fish, board_reference
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import Reference, ReferenceLimits
 from tailbeat.core.speed_source import Camera
 from tailbeat.core.trial_checks import heading_drift
-from tailbeat.experiment.current import set_and_save
+from tailbeat.experiment.current import held_reference, set_and_save
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import identified_if_readable, library_of
 from tailbeat.learning.diagnosis import Cause, CauseFound
@@ -70,7 +70,7 @@ class Trials:
     @property
     def reference(self) -> Reference:
         """The board's."""
-        found = board_reference(self.fish)
+        found = held_reference(self.fish)
         assert found is not None
         return found
 

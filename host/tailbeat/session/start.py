@@ -16,7 +16,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.core.speed_source import Camera
-from tailbeat.experiment.current import current, has_lost
+from tailbeat.experiment.current import current, has_lost, held_reference
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import library_of, preserve_folder, some_library
 from tailbeat.learning.error_bound import error_bound_range
@@ -166,7 +166,7 @@ class _Guide:
         fish = self.fish
         self._begin(HEALTH)
         found = None if self.options.anew else measured_before(fish)
-        reference = self.options.reference or board_reference(fish) or thesis()
+        reference = self.options.reference or held_reference(fish) or thesis()
         if found is None:
             return self._commissioned(reference, None) and self._given(reference)
         if not self._took(check_health(fish, self.camera, self.operator, _COMMAND, swims=False)):

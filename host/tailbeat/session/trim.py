@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from tailbeat.core.trial_checks import (
 )
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.current import current, set_and_save
-from tailbeat.experiment.library import RUN, TrialLibrary, library_of, preserve_folder
+from tailbeat.experiment.library import TrialLibrary, keep_run, library_of, preserve_folder
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.scatter import Scatter
 from tailbeat.link.messages import TrialOutcome
@@ -266,7 +266,7 @@ class _TrimRunner:
         seen = FrameRecorder()
         guards, name = guards_of(guarded, seen), f"trim run {number}"
         outcome = run_trial(fish, self.camera, self.operator.tell, guards, run_name=name)
-        trial = self.board.collect(outcome, self._judge, self._keep)
+        trial = self.board.collect(outcome, self._judge, partial(keep_run, self.book))
         return _Log(centre_us, trial, _since_begin(fish, self.camera, seen.frames, trial))
 
     def _ask(self, number: int, centre_us: float, planned: TrimPlan) -> None:
@@ -309,10 +309,6 @@ class _TrimRunner:
                 f"{outcome.executed_beats} beats.",
                 "Put it right, then trim again; nothing was changed.",
             )
-
-    def _keep(self, path: Path) -> None:
-        if self.book is not None:
-            self.book.keep(path, RUN)
 
 
 def _reference(planned: TrimPlan) -> F64:

@@ -510,6 +510,12 @@ def test_a_board_that_has_lost_all_gets_it_back_by_start(
     assert (now.phase, now.iteration) == (phase, 2), now.problem
     assert any("all that was learned" in line for line in now.log)
     if phase == "asking":
+        question = now.question
+        ready.worker.ask("answer", yes=True)
+        now = ready.wait(lambda now: now.phase == "asking" and now.question != question)
+        assert f"is {from_text(SHORT).name}" in next(
+            one.words for one in now.guide if one.name == "tank"
+        )
         now = ready.ask("answer", yes=False)
     assert (now.reference_m_s, now.experiment) == (kept.reference_m_s, kept.experiment)
 
