@@ -96,7 +96,7 @@ def require_tried(fish: Fish, limit_rad: float) -> None:
         why = f"no trial of it went beyond {allowed:.2f} rad" if allowed else "it was not measured"
         raise InputError(
             f"{AMP_MAX} may not become {limit_rad:.2f} for this fish: {why}.",
-            "Measure the fish: tailbeat start, or START with commissioning.",
+            "Measure the fish: tailbeat session commission",
         )
 
 

@@ -176,7 +176,7 @@ def by_beat(now: PageState, beat: BeatEvent) -> PageState:
 def after(now: PageState, event: Event, clock: str) -> PageState:
     """The snapshot after one event of a series."""
     now = _changed(now, event)
-    text = log_line(event)
+    text = log_line(replace(event, press="") if isinstance(event, StepBegun) else event)  # no keys
     return logged(now, text, clock) if text else now
 
 
@@ -363,6 +363,7 @@ _NEEDS_BOARD = re.compile(
 def on_the_page(words: str) -> str:
     """A message that names a command of the terminal, in the words of the page: its own control
     where it has one, else that the command needs the port which the page holds."""
+    words = words.replace("the same command", "START")
     for pattern, control in _CONTROLS:
         words = pattern.sub(control, words)
     if _NEEDS_BOARD.search(words) is None or _END in words:

@@ -221,7 +221,9 @@ def test_steps_of_the_guided_job() -> None:
     assert [(one.name, one.done) for one in now.guide] == [
         ("health", True), ("commission", None), ("tank", False),
     ]  # fmt: skip
-    now = after(now, StepBegun(3, 5, "reference", "the speed to learn", "seconds"), "12:00:04")
+    begun = StepBegun(3, 5, "reference", "the speed to learn", "seconds", "y or n")
+    now = after(now, begun, "12:00:04")
+    assert now.log[-1].endswith("3/5 reference: the speed to learn (seconds)")
     assert [one.done for one in now.guide] == [True, True, False, None]
 
 

@@ -34,6 +34,7 @@ END = "End this page before that command: Ctrl-C where tailbeat session web runs
             "Again with START with 'Commissioning: again'",
         ),
         ("learned nothing", "learned nothing"),
+        ("no. Begin again with the same command.", "no. Begin again with START."),
         ("tailbeat report prints it", f"'Write the report'{HERE} prints it"),
         ("a film: tailbeat camera track FILM", "a film: tailbeat camera track FILM"),
     ],

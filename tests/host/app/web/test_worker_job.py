@@ -98,7 +98,9 @@ def test_parameters_are_read_when_somebody_looks(worker: Worker) -> None:
     assert "ILC_GAIN" in now.problem and now.failed == "ILC_GAIN"  # shown beside it
     with pytest.raises(InputError, match="is no number"):
         worker.ask("set", name="ILC_GAIN", value="much")
-    assert "was not measured" in done(worker, "set", name="AMP_MAX_RAD", value="0.7").problem
+    now = done(worker, "set", name="AMP_MAX_RAD", value="0.7")
+    assert "was not measured" in now.problem
+    assert now.problem.endswith("Measure the fish: START with 'Commissioning: again'")
 
 
 def test_health_is_a_step_of_its_own(worker: Worker) -> None:
