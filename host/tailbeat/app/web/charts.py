@@ -119,7 +119,7 @@ def _stroked(colour: str) -> Options:
 
 def _ceiling(most_mm_s: float) -> float:
     """A round end of an axis that holds it."""
-    return 10.0 * math.ceil(1.1 * most_mm_s / 10.0) if math.isfinite(most_mm_s) else 10.0
+    return max(10.0, 10.0 * math.ceil(0.11 * most_mm_s)) if math.isfinite(most_mm_s) else 10.0
 
 
 def tank_chart(now: PageState) -> Options:
@@ -151,6 +151,7 @@ def tank_chart(now: PageState) -> Options:
         "type": "value",
         "min": round(min(xs) - _MARGIN_M, 1),
         "max": round(max(xs) + _MARGIN_M, 1),
+        "axisLabel": _FONT | {"showMinLabel": False, "showMaxLabel": False},  # beside others
     }
     side_m = max(_SIDE_M, max(ys) - y0_m, y0_m - min(ys)) + _MARGIN_M
     span = {"min": round(y0_m - side_m, 2), "max": round(y0_m + side_m, 2), "inverse": True}
@@ -274,8 +275,9 @@ def _line(value: float, words: str, colour: str) -> Options:
         "lineStyle": {"color": colour, "width": 2, "type": [2, 3]},
         "label": {
             "formatter": words,
-            "position": "insideStartTop",
+            "position": "insideEndTop",
             "color": colour,
+            "backgroundColor": _PAPER,  # lines of the grid do not strike it out
             "fontSize": 12,
         },
         "data": [{"yAxis": round(value, 3)}],

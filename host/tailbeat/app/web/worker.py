@@ -359,9 +359,8 @@ class Worker:
         if end is None:
             return
         if commission != "never":
-            PageOperator(self, fish).tell(
-                StepEnded("trials", end.why not in _BROKEN_OFF, end.words)
-            )
+            ended = StepEnded("trials", end.why not in _BROKEN_OFF, end.words)
+            PageOperator(self, fish).tell(ended)
         else:
             self.screen.say(end.words)
         if end.why in _BROKEN_OFF:

@@ -123,7 +123,9 @@ def test_the_error_of_each_beat_with_what_spoils_it() -> None:
     options = charts.beat_error_chart(replace(now, curves=(cut,)))
     assert [one["name"] for one in options["series"]] == ["error", "at the limit"], "not executed"
     under_way = replace(NOW, phase="swimming", speed_m_s=(None,) * 4)
-    assert len(charts.beat_error_chart(under_way)["series"]) == 1, "what comes is not missing"
+    options = charts.beat_error_chart(under_way)
+    assert len(options["series"]) == 1, "what comes is not missing"
+    assert (options["yAxis"]["min"], options["yAxis"]["max"]) == (-10, 10), "before the first one"
 
 
 def test_the_tank_holds_walls_path_and_clearance() -> None:
