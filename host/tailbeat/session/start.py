@@ -105,9 +105,8 @@ def give_back(fish: Fish, operator: Operator) -> None:
     experiment = current(fish)
     if experiment is None or not has_lost(fish, experiment):
         return
-    learned = " and all that was learned" if restore(fish, experiment).learned else ""
-    words = f"the board had lost its reference; {experiment.name} has given back it{learned}"
-    operator.tell(Notice(words))
+    lost = "reference and all it had learned" if restore(fish, experiment).learned else "reference"
+    operator.tell(Notice(f"the board had lost its {lost}: restored from {experiment.name}"))
 
 
 @dataclass
