@@ -508,7 +508,7 @@ def test_a_board_that_has_lost_all_gets_it_back_by_start(
     ready.worker.ask("swim", preflight=False, commission=commission)
     now = ready.wait(lambda now: now.phase in ("asking", "deciding") or now.done > kept.done)
     assert (now.phase, now.iteration) == (phase, 2), now.problem
-    assert any("all that was learned" in line for line in now.log)
+    assert any("all it had learned" in line for line in now.log)
     if phase == "asking":
         question = now.question
         ready.worker.ask("answer", yes=True)
