@@ -11,6 +11,14 @@
 #define ON_TARGET false
 #endif
 
+/* How often a test of the same C on both repeats itself: |target| times in QEMU, where it takes
+ * long, for alignment, byte order and stack; as often as on the host in `make soak`. */
+#if defined __arm__ && !defined QEMU_ALL
+#define TIMES(host, target) (target)
+#else
+#define TIMES(host, target) (host)
+#endif
+
 #define RUN_ON_HOST(test)                                                                          \
     do {                                                                                           \
         if (!ON_TARGET) {                                                                          \

@@ -4,8 +4,9 @@
  * another right CRC is one in 65536; with these streams it never does.
  */
 #include "imu_stream.h"
+#include "target.h"
 
-#define MESSAGES 20u
+#define MESSAGES TIMES(20u, 10u)
 
 static stream_t window;
 static uint8_t damaged[STREAM_MAX_BYTES];

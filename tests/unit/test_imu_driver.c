@@ -3,6 +3,7 @@
  * the driver and its reading of lines. */
 #include "imu/driver.h"
 
+#include "target.h"
 #include "unity.h"
 
 #include <stdio.h>
@@ -1052,7 +1053,7 @@ static void every_problem_has_words(void) {
 /* Whatever faults come together: a verdict in time, and no flood of commands. */
 static void any_mixture_of_faults_ends_in_a_verdict(void) {
     uint32_t random = 4711;
-    for (int run = 0; run < 60; run++) {
+    for (int run = 0; run < TIMES(60, 12); run++) {
         setUp();
         uint32_t draw[8];
         for (size_t i = 0; i < 8; i++) {

@@ -2,13 +2,14 @@
 #include "ilc/law.h"
 
 #include "law_plain.h"
+#include "target.h"
 #include "unity.h"
 
 #include <math.h>
 #include <string.h>
 
 #define BEATS_MOST 40u
-#define CASES 3000u
+#define CASES TIMES(3000u, 300u)
 
 static uint32_t random_state;
 static number_t error_m_s[BEATS_MOST], amplitude_rad[BEATS_MOST];

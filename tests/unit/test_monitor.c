@@ -4,10 +4,11 @@
 #include "gait/servo.h"
 #include "store/bytes.h"
 #include "store/records.h"
+#include "target.h"
 #include "unity.h"
 
 #define RECORD_BYTES (RECORD_HEADER_BYTES + (PARAM_NAME_BYTES + 4u) * PARAM_COUNT)
-#define CONFIGS 2000u
+#define CONFIGS TIMES(2000u, 200u)
 #define MOVES 200u
 
 static params_t params;

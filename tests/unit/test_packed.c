@@ -3,11 +3,13 @@
 #include "store/packer.h"
 #include "store/ulog.h"
 #include "store/unpacker.h"
+#include "target.h"
 #include "unity.h"
 
 #define ULOG_BYTES 40000u
 #define FILE_BYTES 60000u
 #define SLOT_FIELDS_BYTES 16u
+#define DAMAGED TIMES(2000u, 100u)
 
 static uint8_t ulog[ULOG_BYTES], file[FILE_BYTES], back[ULOG_BYTES + 1u], piece[PACKER_PIECE_BYTES];
 static size_t ulog_bytes, file_bytes;
@@ -182,7 +184,7 @@ static void test_reads_from_any_place_on(void) {
     unpacker_t unpacker;
     unpacker_begin(&unpacker, &source);
     uint32_t most = 0;
-    for (uint32_t round = 0; round < 3000; round++) {
+    for (uint32_t round = 0; round < TIMES(3000u, 200u); round++) {
         const uint32_t offset = random_below((uint32_t)ulog_bytes + 100u);
         const size_t max = random_below(300);
         counting.reads = 0;
@@ -212,7 +214,7 @@ static void test_damage_stays_in_its_group(void) {
     pack_a_trial(900);
     const size_t all = ulog_bytes;
     uint32_t noticed = 0;
-    for (uint32_t round = 0; round < 2000; round++) {
+    for (uint32_t round = 0; round < DAMAGED; round++) {
         const uint32_t hit = 1u + random_below(pieces - 1u);
         const size_t payload = ends[hit - 1u].file_bytes + PACKED_PIECE_HEADER_BYTES;
         const size_t at = payload + random_below((uint32_t)(ends[hit].file_bytes - payload));
@@ -229,7 +231,7 @@ static void test_damage_stays_in_its_group(void) {
             TEST_ASSERT_EQUAL_MEMORY(ulog + from, back + from, all - from);
         }
     }
-    TEST_ASSERT_GREATER_THAN_UINT32(100, noticed);
+    TEST_ASSERT_GREATER_THAN_UINT32(DAMAGED / 20u, noticed);
 }
 
 /* Any bytes behind the header: what is read is bounded, and the same in one go and in pieces. */

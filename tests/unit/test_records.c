@@ -3,6 +3,7 @@
 #include "base/crc.h"
 #include "mock_hal.h"
 #include "store/bytes.h"
+#include "target.h"
 #include "unity.h"
 
 #include <math.h>
@@ -282,7 +283,7 @@ static void test_every_truncation_is_refused(void) {
 static void test_every_bit_flip_is_refused(void) {
     for (size_t k = 0; k < KINDS; k++) {
         const size_t length = kinds[k].encode();
-        for (size_t bit = 0; bit < 8u * length; bit++) {
+        for (size_t bit = 0; bit < 8u * length; bit += TIMES(1u, 7u)) {
             bytes[bit / 8u] ^= (uint8_t)(1u << (bit % 8u));
             refused(&kinds[k], length, FAULT_BAD_FORMAT);
             bytes[bit / 8u] ^= (uint8_t)(1u << (bit % 8u));

@@ -305,7 +305,7 @@ static void test_equals_the_slow_way(void) {
         {1.0, 0.0, false, 10}, {1.0, 0.9, false, 0}, {0.0, 0.9, false, 0}, {0.8, 0.5, false, 4},
         {1.0, 1.0, true, 0},   {1.0, 1.0, true, 6},  {0.0, 1.0, true, 0},  {0.7, 0.6, true, 3},
     };
-    for (unsigned i = 0; i < 24; i++) {
+    for (unsigned i = 0; i < TIMES(24u, 8u); i++) {
         config.beat_s = (float)between(0.5, 2.0);
         draw(20, problems[i % 8u]);
         compare(20, 1e-3);
@@ -385,7 +385,7 @@ static void test_no_steps(void) {
 /* Sigmas from nothing to anything: never negative, never NaN, never better than the way back can
  * tell. */
 static void test_variances_stay_positive(void) {
-    for (unsigned i = 0; i < 40; i++) {
+    for (unsigned i = 0; i < TIMES(40u, 10u); i++) {
         config.start_sigma_m_s = (float)pow(10, between(-6, 1));
         config.error_sigma_m_s2 = i % 5u == 0 ? 0.0f : (float)pow(10, between(-6, 0));
         config.drift_sigma_m_s3 = i % 7u == 0 ? 0.0f : (float)pow(10, between(-8, -1));
