@@ -328,23 +328,46 @@ static void test_a_cut_at_every_write_of_taking_over(void) {
     check_cuts(LOGS_MAX);
 }
 
-/* Right after taking over nothing is left that a flipped bit could bring back. */
+static bool is_read[MOCK_FLASH_BYTES];
+
+static void note_read(hal_t *board, uint32_t offset, uint8_t *read, uint32_t length) {
+    (void)board;
+    (void)read;
+    memset(is_read + offset, true, length);
+}
+
+static void find_what_a_boot_reads(void) {
+    memset(is_read, false, sizeof is_read);
+    hal.flash_read = note_read;
+    reboot();
+    hal.flash_read = NULL;
+}
+
+/* Right after taking over nothing is left that a flipped bit could bring back. A flip in a byte
+ * that the boot of the undamaged store does not read cannot change a boot: of those only some. */
 static void test_a_flipped_bit_does_not_bring_back_what_was_taken_over(void) {
     make_old_store(1);
     reboot();
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_AMP_MAX_RAD, 0.2f));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
     memcpy(whole, hal.flash, sizeof whole);
-    uint32_t told = 0;
+    find_what_a_boot_reads();
+    uint32_t told = 0, booted = 0;
     for (uint32_t at = 0; at < 8u * BLOCK_BYTES; at += 3u) {
-        memcpy(hal.flash, whole, sizeof whole);
+        if (!is_read[at] && at % 64u != 0) {
+            continue;
+        }
+        booted++;
+        mock_flash_load(&hal, whole, false);
         hal.flash[at] ^= (uint8_t)(1u << at % 8u);
+        hal.flash_changed[at / MOCK_PIECE_BYTES] = true;
         hal.tx[0].head = hal.tx[0].tail = hal.tx[1].head = hal.tx[1].tail = 0;
         reboot();
         TEST_ASSERT_EQUAL_FLOAT(0.2f, app.params.value[PARAM_AMP_MAX_RAD]);
         TEST_ASSERT_TRUE(app.link.outbox.signing.locked);
         told += app.supervisor.state == STATE_FAULT;
     }
+    printf("%u flips booted, %u told\n", (unsigned)booted, (unsigned)told);
     TEST_ASSERT_GREATER_THAN_UINT32(0, told);
 }
 
