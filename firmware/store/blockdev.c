@@ -134,9 +134,8 @@ static uint32_t reads_max(const store_t *store) {
     return READS_MAX * blocks / READS_MAX_BLOCKS * blocks / READS_MAX_BLOCKS;
 }
 
-static void feed_watchdog(store_t *store) {
-    if (store->fed_reads < FED_READS_MAX * reads_max(store) &&
-        ++store->fed_reads % FEED_READS == 0) {
+static void feed_watchdog(store_t *store, uint32_t most) {
+    if (store->fed_reads < FED_READS_MAX * most && ++store->fed_reads % FEED_READS == 0) {
         hal_watchdog_feed(store->hal);
     }
 }
@@ -145,12 +144,13 @@ static int read_block(const struct lfs_config *config, lfs_block_t block, lfs_of
                       void *out, lfs_size_t length) {
     store_t *store = config->context;
     const uint32_t at = flash_offset(store, block, offset);
-    if (store->reads >= reads_max(store)) {
+    const uint32_t most = reads_max(store);
+    if (store->reads >= most) {
         store->mounted = false;
         return LFS_ERR_IO;
     }
     store->reads++;
-    feed_watchdog(store);
+    feed_watchdog(store, most);
     if (!hal_flash_read(store->hal, at, out, length)) {
         return LFS_ERR_IO;
     }

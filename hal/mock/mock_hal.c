@@ -146,6 +146,10 @@ const hal_flash_geometry_t *hal_flash_geometry(const hal_t *hal) {
     return hal->flash_geometry.size_bytes != 0 ? &hal->flash_geometry : &geometry;
 }
 
+/* What the store reads by the million: a copy whose length is known takes no call, which the
+ * sanitizers make a long one. */
+#define LITTLE_BYTES 16u
+
 static bool out_of_flash(uint32_t offset, uint32_t length) {
     return offset > MOCK_FLASH_BYTES || length > MOCK_FLASH_BYTES - offset;
 }
@@ -154,7 +158,11 @@ bool hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
     if (out_of_flash(offset, length)) {
         return false;
     }
-    memcpy(out, hal->flash + offset, length);
+    if (length == LITTLE_BYTES) {
+        memcpy(out, hal->flash + offset, LITTLE_BYTES);
+    } else {
+        memcpy(out, hal->flash + offset, length);
+    }
     if (hal->flash_read != NULL) {
         hal->flash_read(hal, offset, out, length);
     }
