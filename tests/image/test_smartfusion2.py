@@ -28,7 +28,7 @@ from vboard.core.clock import TICKS_PER_US
 from .emcraft import QEMU, EmcraftBoard
 from .test_pulses import probe
 
-IMAGE = Path(__file__).resolve().parents[2] / "build" / "smartfusion2" / "tailbeat_smartfusion2.elf"
+IMAGE = Path(__file__).resolve().parents[2] / "build" / "qemu" / "tailbeat_smartfusion2.elf"
 BOOT_S = 30.0
 
 TRIALS, SOAK_TRIALS = 3, 6
