@@ -233,16 +233,26 @@ static void accessed(vb_chip_t *chip, bool adjust) {
 #define PERIPHERALS_START 0x40000000u
 #define PPB_START 0xE0000000u
 
+static uint32_t load(vb_chip_t *chip, uint32_t address, unsigned size) {
+    const vb_clock_t *clock = chip->soc.clock;
+    if (size == 4 && address == clock->steady_at) {
+        return (uint32_t)clock->steady_value;
+    }
+    uint32_t value = 0;
+    const vb_place_t *place = taker(chip, address, size);
+    if (place == NULL || read_model(place, address - place->base, &value) == VB_UNKNOWN) {
+        value = chip->calls.load(address, size);
+    }
+    return value;
+}
+
 uint64_t vb_chip_on_load(void *engine, uint64_t offset, unsigned size, void *user) {
     (void)engine;
     vb_chip_t *chip = user;
     uint32_t address = PERIPHERALS_START + (uint32_t)offset, value = 0;
     vb_chip_catch_up(chip);
     if (chip->soc.clock->failure == VB_OK) {
-        const vb_place_t *place = taker(chip, address, size);
-        if (place == NULL || read_model(place, address - place->base, &value) == VB_UNKNOWN) {
-            value = chip->calls.load(address, size);
-        }
+        value = load(chip, address, size);
     }
     accessed(chip, true);
     return value;

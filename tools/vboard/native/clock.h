@@ -35,6 +35,10 @@ typedef struct {
     uint64_t number; /* of the last event scheduled, by anybody */
     int64_t foreign_due;
     uint64_t foreign_number;
+    /* The register, by its address, that a load from Python's part of the bus has left to be read
+     * again with the same value and without effect: until any of Python's code runs, which forgets
+     * it. 0: none. Firmware asks by the thousand whether the flash is ready. */
+    int64_t steady_at, steady_value;
     int64_t failure; /* vb_failure_t */
     char message[VB_MESSAGE_BYTES];
     void (*run_foreign)(void); /* runs Python's first event and tells of the next one */

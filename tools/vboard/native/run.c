@@ -156,6 +156,7 @@ static void step(vb_chip_t *chip, int64_t tick, int (*stop)(void)) {
 
 vb_run_end_t vb_chip_run(vb_chip_t *chip, int64_t tick, int (*stop)(void)) {
     VB_CHECK(chip->engine.handle != NULL);
+    chip->soc.clock->steady_at = 0; /* Python's code has run since */
     while (chip->soc.clock->now < tick && !chip->state.off) {
         if (stop != NULL && stop()) {
             return VB_RUN_STOPPED;

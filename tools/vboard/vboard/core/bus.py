@@ -112,6 +112,12 @@ class Peripheral:
         writer(value)
         return name
 
+    def steady(self, address: int, value: int) -> bool:
+        """Whether the register that has just given ``value`` gives it again, and nothing else
+        comes of reading it, until some event or access changes this peripheral."""
+        del address, value
+        return False
+
     def clocked(self) -> bool:
         """Whether accesses reach it."""
         return self.pid is None or self.soc.pid_clocked(self.pid)

@@ -203,9 +203,16 @@ class _NativeBus(Bus):
     """While there is a trace, all accesses come here."""
 
     def __init__(self, state: State, clock: NativeClock) -> None:
-        self._state = state
+        self._state, self._time = state, clock.shared.fields
         self._trace: list[Access] | None = None
         super().__init__(clock)
+
+    def read(self, address: int, width: int) -> int:
+        """A load by the processor, which C answers itself as long as nothing happens."""
+        value = super().read(address, width)
+        if self._trace is None and self._find(address, width, "load from").steady(address, value):
+            self._time.steady_value, self._time.steady_at = value, address
+        return value
 
     @property
     def trace(self) -> list[Access] | None:

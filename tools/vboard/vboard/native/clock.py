@@ -71,6 +71,7 @@ class SharedTime:
         """``function`` for C: what it raises comes out of check(), and it gives ``otherwise``."""
 
         def guarded(*arguments: Any) -> Any:
+            self.fields.steady_at = 0
             try:
                 return function(*arguments)
             except BaseException as error:
@@ -80,6 +81,7 @@ class SharedTime:
         return guarded
 
     def _run(self) -> None:
+        self.fields.steady_at = 0
         try:
             _, _, event = heapq.heappop(self.events)
             self.show_first()

@@ -43,6 +43,8 @@ class ClockFields(ctypes.Structure):
         ("number", c_uint64),
         ("foreign_due", c_int64),
         ("foreign_number", c_uint64),
+        ("steady_at", c_int64),
+        ("steady_value", c_int64),
         ("failure", c_int64),
         ("message", c_char * MESSAGE_BYTES),
     ]

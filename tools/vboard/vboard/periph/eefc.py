@@ -25,6 +25,7 @@ from vboard.periph.supply import Rail
 
 FRDY, FCMDE, FLOCKE = 1 << 0, 1 << 1, 1 << 2
 SCOD = 1 << 16
+FSR_OFFSET = 0x08
 KEY = 0x5A
 WRITE_WAIT_STATES = 6  # erratum: while the latch is filled and the command is given
 
@@ -84,7 +85,7 @@ class Eefc(Peripheral):
     registers = (
         Reg("FMR", 0x00),
         Reg("FCR", 0x04, "w"),
-        Reg("FSR", 0x08, "r", 0x1),
+        Reg("FSR", FSR_OFFSET, "r", 0x1),
         Reg("FRR", 0x0C, "r"),
     )
 
@@ -199,6 +200,10 @@ class Eefc(Peripheral):
         value = self._errors | (0 if self._not_ready() else FRDY)
         self._errors = 0
         return value
+
+    def steady(self, address: int, value: int) -> bool:
+        """FSR, while there is no error that the reading would have cleared."""
+        return address == self.base + FSR_OFFSET and not value & ~FRDY
 
     def _not_ready(self) -> bool:
         return self.busy or self.unique_id_shown

@@ -15,6 +15,7 @@ from vboard.periph.supply import SlowClock
 MOSCXTS, LOCKA, MCKRDY = 1 << 0, 1 << 1, 1 << 3
 OSCSELS, MOSCSELS, MOSCRCS = 1 << 7, 1 << 16, 1 << 17
 CFDEV, CFDS = 1 << 18, 1 << 19
+SR_OFFSET = 0x68
 XTEN, RCEN, MOSCSEL, CFDEN = 1 << 0, 1 << 3, 1 << 24, 1 << 25
 MOR_KEY = 0x37
 
@@ -62,7 +63,7 @@ class Pmc(WriteProtected):
         Reg("PMC_MCKR", 0x30, "rw", 0x1),
         Reg("PMC_IER", 0x60, "w"),
         Reg("PMC_IDR", 0x64, "w"),
-        Reg("PMC_SR", 0x68, "r", 0x10008),
+        Reg("PMC_SR", SR_OFFSET, "r", 0x10008),
         Reg("PMC_IMR", 0x6C, "r"),
         Reg("PMC_WPMR", 0xE4),
         Reg("PMC_PCER1", 0x100, "w"),
@@ -181,6 +182,10 @@ class Pmc(WriteProtected):
         self._status &= ~CFDEV
         self._drive()
         return value
+
+    def steady(self, address: int, value: int) -> bool:
+        """PMC_SR, while there is no failure that the reading would have cleared."""
+        return address == self.base + SR_OFFSET and not value & CFDEV
 
     def read_ckgr_mcfr(self) -> int:
         """Main clock measured over 16 slow clocks."""
