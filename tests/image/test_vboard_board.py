@@ -96,6 +96,22 @@ def test_stores_to_flash_fill_the_latch_and_the_command_writes(build: Build) -> 
     assert board.bank1 == b"\xff" * 0x300 + page + b"\xff" * (0x40000 - 0x400)
 
 
+@pytest.mark.usefixtures("both_models")
+def test_polls_in_a_row_see_once_what_reading_clears(build: Build) -> None:
+    """A wrong command to the flash, and a crystal that failed."""
+    board = flashing(
+        build,
+        """EFC1(4) = COMMAND(3, 0x800);
+        uint32_t a = EFC1(8), b = EFC1(8), c = EFC1(8);
+        uint32_t d = REG(0x400E0668u), e = REG(0x400E0668u), f = REG(0x400E0668u);
+        GPBR(0) = a << 8 | b << 4 | c; GPBR(1) = (d ^ e) | (e ^ f) << 1;""",
+    )
+    board.periph["PMC"]._status |= 1 << 18
+    finish_flashing(board)
+    values = board.periph["GPBR"].values
+    assert (values["GPBR0"], values["GPBR1"]) == (0x311, 1 << 18)
+
+
 def test_the_latch_takes_words_stored_several_at_once(build: Build) -> None:
     board = flashing(
         build,
