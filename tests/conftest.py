@@ -11,6 +11,7 @@ TEST_COSTS names (tools/run_all.py).
 from __future__ import annotations
 
 import faulthandler
+import gc
 import os
 import signal
 from collections import Counter
@@ -44,6 +45,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Those of the page first: a browser waits more than it computes, up to a minute, so others
     run beside it. Last of all, it alone would be waited for."""
     items.sort(key=lambda item: not item.path.name.startswith("test_ui"))
+
+
+def pytest_collection_finish() -> None:
+    """Modules and tests stay to the end: to look for garbage without them, and seldom, takes 3 %
+    less of all."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 50)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
