@@ -19,7 +19,7 @@ PYTHON_SOURCES := $(wildcard docs/*.py docs/diagrams/*.py) host tests tools wire
 
 # Runs all that it is given, whatever fails, and sums up.
 RUN_ALL := $(BIN)/python tools/run_all.py
-# CPU seconds of all tests, their builds included, on the machine of the budget. They take 655 s; on a
+# CPU seconds of all tests, their builds included, on the machine of the budget. They take 617 s; on a
 # machine that was slow by turns, which the fixed work that is timed between them shows only in part, up
 # to 1.4 times as long.
 TEST_CPU_MAX_S := 920
@@ -28,7 +28,7 @@ TEST_CPU_MAX_S := 920
 UNLIMITED := -o faulthandler_timeout=0
 
 # Without what it has compiled kept, each process compiles all tests anew, for 15 s. One process more
-# than cores would take 15 s more: each collects all tests and makes its own fixtures.
+# than cores would take 5 % more: each collects all tests and makes its own fixtures.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $$(nproc) --dist worksteal
 
 .PHONY: help demo test image qemu soak bench firmware sbom flash size check docs dist clean lock bootstrap package \

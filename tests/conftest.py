@@ -48,8 +48,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Most of what there is now stays to the end: to look through it for garbage each time some
-    hundred objects are new takes 3 % of all."""
+    """Most of what there is now stays to the end: looked through for garbage seldom."""
     gc.set_threshold(50_000, 20, 50)
 
 

@@ -15,6 +15,9 @@
 #define TRIAL_DIGITS_MIN 4u
 #define TRIAL_DIGITS_MAX 10u
 
+/* In store_t.raw_taken: littlefs cannot see which blocks are in use. */
+#define RAW_NOT_SEEN UINT8_MAX
+
 /* What is read wrong while the supply comes up must not cost a filesystem. */
 #define MOUNT_TRIES 3u
 
@@ -41,10 +44,15 @@ static bool is_leftover(const char *folder, const store_entry_t *entry) {
 
 typedef struct {
     store_t *store;
-    bool unlinked; /* a file whose blocks cannot be found is one, too */
     const char *folder;
     char path[STORE_PATH_BYTES]; /* of the first leftover; empty: none yet */
 } leftover_t;
+
+/* A flipped bit in a file's pointers hides which blocks are free: without that file the store can
+ * be written again. */
+static bool hides_blocks(store_t *store, const char *path) {
+    return store->raw_taken == RAW_NOT_SEEN && !store_is_linked(store, path);
+}
 
 static bool note_leftover(void *context, const store_entry_t *entry) {
     leftover_t *leftover = context;
@@ -53,20 +61,16 @@ static bool note_leftover(void *context, const store_entry_t *entry) {
         return true;
     }
     join_path(leftover->path, folder, entry->name);
-    if (is_leftover(folder, entry) ||
-        (leftover->unlinked && !store_is_linked(leftover->store, leftover->path))) {
+    if (is_leftover(folder, entry) || hides_blocks(leftover->store, leftover->path)) {
         return false;
     }
     leftover->path[0] = '\0';
     return true;
 }
 
-/* Removes one leftover of |folder|; true when there was one. A flipped bit in a file's pointers
- * hides which blocks are free: without that file the store can be written again. */
+/* Removes one leftover of |folder|; true when there was one. */
 static bool remove_leftover(store_t *store, const char *folder) {
-    uint32_t free_bytes = 0;
     leftover_t leftover = {.store = store, .folder = folder};
-    leftover.unlinked = !store_find_free(store, &free_bytes);
     (void)store_walk(store, folder, 0, note_leftover, &leftover);
     return leftover.path[0] != '\0' && store_remove(store, leftover.path) == STORE_OK;
 }
@@ -82,7 +86,7 @@ static void reserve_raw(store_t *store) {
     lfs_t *lfs = &store->lfs;
     store_usage_t usage;
     store->config.compact_thresh = blockdev_compact_bytes(store->hal);
-    store->raw_taken = store_find_usage(store, &usage) ? usage.raw_taken : UINT8_MAX;
+    store->raw_taken = store_find_usage(store, &usage) ? usage.raw_taken : RAW_NOT_SEEN;
     if (store->raw_taken == 0) {
         lfs->block_count = store_data_blocks(store->hal);
         lfs->lookahead.start %= lfs->block_count;
@@ -105,7 +109,7 @@ store_result_t store_finish(store_t *store) {
         for (uint32_t i = 0; i < STORE_BLOCKS_MAX && remove_leftover(store, folders[f]); i++) {
         }
     }
-    if (store->raw_taken == UINT8_MAX) { /* it could not be seen before */
+    if (store->raw_taken == RAW_NOT_SEEN) {
         reserve_raw(store);
     }
     return store->mounted ? result : STORE_IO;

@@ -111,7 +111,9 @@ bool store_is_linked(store_t *store, const char *path) {
     while (number > 0 && block < store->lfs.block_count) {
         lfs_block_t before[2];
         const uint32_t step = 2u - number % 2u;
-        (void)store->config.read(&store->config, block, 0, before, step * sizeof before[0]);
+        if (store->config.read(&store->config, block, 0, before, step * sizeof before[0]) < 0) {
+            return true;
+        }
         block = before[step - 1u];
         number -= step;
     }

@@ -36,7 +36,7 @@ store_result_t store_result(int code);
 store_result_t store_written(store_t *store, int code);
 
 /* Whether littlefs finds from a file's last block to its first, as it must to see which blocks are
- * free. True for what is no file. */
+ * free. True for what is no file, or cannot be read. */
 bool store_is_linked(store_t *store, const char *path);
 
 /* Free bytes in whole blocks, and whether the filesystem can be walked; 0 where it cannot. */

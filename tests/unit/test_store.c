@@ -355,7 +355,7 @@ static void test_a_store_that_cannot_be_walked_loses_only_what_hinders_it(void) 
     const uint32_t last = file.file.ctz.head;
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_close(&store, &file));
     memset(hal.flash + last * BLOCK_BYTES, 0x7F, 8); /* pointers to the blocks before it */
-    store.lfs.rcache.block = UINT32_MAX;
+    store.lfs.rcache.block = UINT32_MAX; /* littlefs's last read, which may be of there */
     TEST_ASSERT_EQUAL_UINT32(0, store_free_bytes(&store));
     TEST_ASSERT_EQUAL_INT(STORE_IO, store_make_space(&store, 20480, 0));
     TEST_ASSERT_EQUAL_UINT32(3, count_entries("/trials"));

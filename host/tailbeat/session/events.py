@@ -94,7 +94,7 @@ class TrialEnded:
 class InputChosen:
     """What makes the next input. ``law``: ``p`` (the board's own step), ``model``, or ``best`` (the
     best input so far). ``why``: the reason, in words. ``expected_m_s``: 5 %, median and 95 % of its
-    max|e| by the model; None: nobody knows."""
+    max|e| by the model; None: not known."""
 
     law: str
     why: str
