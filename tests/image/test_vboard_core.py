@@ -273,6 +273,32 @@ def test_interrupts_come_between_any_two_instructions(build: Build) -> None:
     assert probe.values_marked() == [149]
 
 
+def test_code_in_ram_may_be_written_again(build: Build) -> None:
+    """Also after data beside it, and after the MPU changed what the processor knows of pages. Only
+    SRAM1: Unicorn takes code in SRAM0 for that of a mirror once a page was restricted."""
+    probe = run_program(
+        build("""static uint16_t *const code = (uint16_t *)0x20083000;
+        static uint32_t run(uint32_t at) {
+            return ((uint32_t (*)(void))((uint32_t)(code + at) | 1))();
+        }
+        void program(void) {
+            code[1] = code[3] = 0x4770;
+            for (uint32_t i = 0; i < 4; i++) {
+                REG(0xE000ED9Cu) = 0x20081000;
+                REG(0xE000EDA0u) = 11u << 1 | 1;
+                REG(0xE000ED94u) = i % 2 == 0 ? 0 : 5;
+                code[100] = 0;
+                code[0] = 0x2005 + i;
+                code[2] = 0x2009 + i;
+                __asm volatile("isb" ::: "memory");
+                MARK = run(0);
+                MARK = run(2);
+            }
+        }""")
+    )
+    assert probe.values_marked() == [5, 9, 6, 10, 7, 11, 8, 12]
+
+
 def test_systick_comes_to_the_cycle(build: Build) -> None:
     probe = run_program(
         build("""static uint32_t times;

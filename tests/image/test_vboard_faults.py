@@ -46,6 +46,21 @@ def test_bus_fault_records_where(build: Build, enabled: bool) -> None:
     assert (cfsr, hfsr, bfar) == (0x8200, 0 if enabled else 1 << 30, 0x30000010)
 
 
+@pytest.mark.parametrize("address", [0x4000C000, 0xE0001000, 0xA0000000])
+def test_devices_are_not_executed(build: Build, address: int) -> None:
+    probe = run_program(
+        build(
+            REPORT
+            + f"""void on_mem(void) {{ report(); }}
+        void program(void) {{
+            REG(0xE000ED24u) = 0x70000;
+            ((void (*)(void)){address | 1})();
+        }}"""
+        )
+    )
+    assert probe.values_marked()[:2] == [1, 0]
+
+
 def test_fault_in_hard_fault_locks_up(build: Build) -> None:
     board = Board(build("void program(void) { REG(0x30000000u) = 1; }"), peripherals=only_probe)
     with pytest.raises(Lockup, match=r"HardFault priority .* in on_hard\+0x"):

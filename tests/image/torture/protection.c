@@ -56,6 +56,45 @@ static void around(uint32_t offset, uint32_t size) {
     read_from(offset + size);
 }
 
+/* 1 if an IT block ends as written that loads or stores; its last instruction makes its condition
+ * false, which is nothing to the code behind it. */
+static uint32_t load_in_block(uint32_t offset) {
+    uint32_t goes_on = 0, value;
+    __asm volatile("cmp %2, %2\n"
+                   "itt eq\n"
+                   "ldreq %1, [%2]\n"
+                   "cmpeq %2, #0\n"
+                   "b 1f\n"
+                   "1: mov %0, #1\n"
+                   : "+r"(goes_on), "=&r"(value)
+                   : "r"((uintptr_t)room + offset)
+                   : "cc", "memory");
+    return goes_on;
+}
+
+static uint32_t store_in_block(uint32_t offset) {
+    uint32_t goes_on = 0;
+    __asm volatile("cmp %1, %1\n"
+                   "itt eq\n"
+                   "streq %1, [%1]\n"
+                   "cmpeq %1, #0\n"
+                   "b 1f\n"
+                   "1: mov %0, #1\n"
+                   : "+r"(goes_on)
+                   : "r"((uintptr_t)room + offset)
+                   : "cc", "memory");
+    return goes_on;
+}
+
+static void access_in_block(uint32_t offset) {
+    region(0, 1024, NO_ACCESS | SIZE(5));
+    barrier();
+    say_hex("load", load_in_block(offset));
+    region(0, 1024, READ_ONLY | SIZE(5));
+    barrier();
+    say_hex("store", store_in_block(offset));
+}
+
 static void only_returns(frame_t *frame, uint32_t exc_return) {
     (void)frame;
     say_hex("SVC LR", exc_return);
@@ -133,6 +172,10 @@ void test_protection(void) {
     region(1, 512, FULL_ACCESS | SIZE(9));
     barrier();
     around(512, 512);
+    say("in an IT block: beside the region; in another page");
+    region(1, 4096, FULL_ACCESS | SIZE(5));
+    access_in_block(512);
+    access_in_block(6144);
     say("escalated; HardFault itself passes");
     region(1, 4096, NO_ACCESS | SIZE(5));
     region(0, 4096, NO_ACCESS | SIZE(5));

@@ -51,7 +51,7 @@ void vb_chip_init(vb_chip_t *chip, vb_clock_t *clock, uint8_t *flash, uint8_t *r
                            calls->txd_given,
                            calls->pwm_period,
                            calls->pwm_changed};
-    chip->cpu = (vb_cpu_t){&chip->engine, &chip->state, clock, 0};
+    chip->cpu = (vb_cpu_t){.engine = &chip->engine, .state = &chip->state, .clock = clock};
     chip->exceptions = (vb_exceptions_t){&chip->state, &chip->cpu, &chip->soc, calls->restricts};
     chip->state.mck_ticks = chip->state.cost = 1;
     chip->state.reset_cause = VB_NO_RESET;
@@ -296,6 +296,11 @@ void vb_chip_on_system_store(void *engine, uint64_t offset, unsigned size, uint6
     accessed(chip, true);
 }
 
+bool vb_chip_on_page(void *engine, uint64_t address, int kind, vb_page_t *page, void *user) {
+    (void)engine;
+    return vb_cpu_on_page(&((vb_chip_t *)user)->cpu, (uint32_t)address, kind, page);
+}
+
 void vb_chip_on_interrupt(void *engine, uint32_t number, void *user) {
     (void)engine;
     vb_cpu_on_interrupt(&((vb_chip_t *)user)->cpu, number);
@@ -324,6 +329,9 @@ bool vb_chip_on_invalid_memory(void *engine, int kind, uint64_t address, int siz
     if (chip->soc.clock->failure != VB_OK) {
         vb_cpu_stop_if_failed(&chip->cpu);
         return false;
+    }
+    if (passes) {
+        vb_cpu_go_on(&chip->cpu);
     }
     return passes;
 }

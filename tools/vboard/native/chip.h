@@ -112,6 +112,7 @@ void vb_chip_on_store(void *engine, uint64_t offset, unsigned size, uint64_t val
 uint64_t vb_chip_on_system_load(void *engine, uint64_t offset, unsigned size, void *user);
 void vb_chip_on_system_store(void *engine, uint64_t offset, unsigned size, uint64_t value,
                              void *user);
+bool vb_chip_on_page(void *engine, uint64_t address, int kind, vb_page_t *page, void *user);
 void vb_chip_on_interrupt(void *engine, uint32_t number, void *user);
 bool vb_chip_on_invalid_instruction(void *engine, void *user);
 bool vb_chip_on_invalid_memory(void *engine, int kind, uint64_t address, int size, int64_t value,

@@ -3,6 +3,7 @@
 #include "check.h"
 
 #define NEVER 0xFFFFFFFEu
+#define XPSR_IT 0x0600FC00u
 
 enum {
     INTR_SVC = 2,
@@ -63,7 +64,7 @@ static vb_stop_t stop_of_error(vb_cpu_t *cpu, int error) {
     if (error == engine->fetch_unmapped) {
         return VB_STOP_BUS_FETCH;
     }
-    if (error != engine->fetch_prot) {
+    if (error != engine->fetch_prot && error != engine->exception) {
         vb_clock_fail(cpu->clock, VB_LOCKUP, "unicorn: error %d", error);
     }
     return VB_STOP_PROTECTED_FETCH;
@@ -188,4 +189,36 @@ void vb_cpu_leave(vb_cpu_t *cpu, const uint32_t frame[8], uint32_t stack, bool p
                                        VB_CALLER_SAVED);
     cpu->state->pc = frame[6] & ~1u;
     cpu->state->thumb = (xpsr & VB_XPSR_THUMB) != 0;
+}
+
+void vb_cpu_go_on(vb_cpu_t *cpu) {
+    uint32_t xpsr = read_register(cpu, cpu->engine->entry[XPSR]);
+    if (xpsr & XPSR_IT) {
+        write_register(cpu, cpu->engine->entry[XPSR], xpsr & ~XPSR_IT);
+    }
+}
+
+/* Devices and the system's own, but for the page of NEVER: Unicorn asks for it at each stop, and a
+ * refusal would be the stop's error. Nothing is mapped there. */
+static bool never_executes(uint32_t page) {
+    bool device = page - 0x40000000u < 0x20000000u || page >= 0xA0000000u;
+    return device && NEVER - page >= VB_PAGE_BYTES;
+}
+
+bool vb_cpu_on_page(vb_cpu_t *cpu, uint32_t address, int kind, vb_page_t *page) {
+    const vb_engine_t *engine = cpu->engine;
+    bool fetch = kind == engine->mem_fetch;
+    if (!fetch) {
+        vb_cpu_go_on(cpu);
+    } else if (never_executes(address)) {
+        return false;
+    }
+    page->address = address;
+    page->permissions = engine->prot_all;
+    if (address - VB_RAM_START < VB_RAM_BYTES) {
+        bool *executes = &cpu->executes[(address - VB_RAM_START) / VB_PAGE_BYTES];
+        *executes = *executes || fetch;
+        page->permissions &= *executes ? UINT32_MAX : ~engine->prot_exec;
+    }
+    return true;
 }

@@ -5,11 +5,13 @@
 
 #include "clock.h"
 #include "engine.h"
+#include "soc.h"
 #include "state.h"
 
 #define VB_XPSR_THUMB (1u << 24)
 #define VB_XPSR_EXCEPTION 0x1FFu
 #define VB_CONTROL_SPSEL 2u
+#define VB_PAGE_BYTES 1024u /* of Unicorn for processors of the M profile */
 
 /* Why a slice ended; the same order as in vboard/core/cpu.py. */
 typedef enum {
@@ -41,7 +43,14 @@ typedef struct {
     vb_state_t *state;
     vb_clock_t *clock;
     uint32_t interrupt; /* that ended the slice; 0: none */
+    bool executes[VB_RAM_BYTES / VB_PAGE_BYTES];
 } vb_cpu_t;
+
+/* Unicorn's uc_tlb_entry. */
+typedef struct {
+    uint64_t address;
+    uint32_t permissions;
+} vb_page_t;
 
 /* Runs up to |count| instructions from pc; state->executed tells how many it was. May fail. */
 vb_stop_t vb_cpu_run(vb_cpu_t *cpu, int64_t count);
@@ -60,6 +69,14 @@ void vb_cpu_stop_if_failed(vb_cpu_t *cpu);
 
 /* Unicorn's hook of interrupts. */
 void vb_cpu_on_interrupt(vb_cpu_t *cpu, uint32_t number);
+
+/* Unicorn's hook of pages of which it knows nothing yet. Stores to pages that may be executed are
+ * slow; a page of RAM is one from the first time on that it is. */
+bool vb_cpu_on_page(vb_cpu_t *cpu, uint32_t address, int kind, vb_page_t *page);
+
+/* In a hook of Unicorn's, for an access that is no fault after all: Unicorn has put the rest of the
+ * IT block into XPSR, where the code that goes on does not expect it. */
+void vb_cpu_go_on(vb_cpu_t *cpu);
 
 vb_registers_t vb_cpu_registers(const vb_cpu_t *cpu);
 vb_masks_t vb_cpu_masks(const vb_cpu_t *cpu);

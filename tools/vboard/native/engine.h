@@ -22,9 +22,10 @@ typedef struct {
     int32_t entry[VB_ENTRY_REGISTERS];
     int32_t masks[VB_MASKS];
     int32_t pc, msp, psp, apsr;
-    /* Errors of emu_start and kinds of memory accesses. */
+    /* Errors of emu_start, kinds of memory accesses, permissions. */
     int32_t ok, read_unmapped, write_unmapped, fetch_unmapped, read_prot, write_prot, fetch_prot;
-    int32_t insn_invalid, mem_read_prot, mem_write_prot;
+    int32_t insn_invalid, exception, mem_read_prot, mem_write_prot, mem_fetch;
+    uint32_t prot_all, prot_exec;
 } vb_engine_t;
 
 #endif

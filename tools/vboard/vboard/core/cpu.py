@@ -56,6 +56,7 @@ CONTROL_SPSEL = 2
 _XPSR_IT = 0x0600FC00
 
 _NEVER = 0xFFFFFFFE
+_EVERYWHERE = (1, 0)  # as Unicorn says it
 _WFE, _YIELD = 0xBF20, 0xBF10
 _INTR_SVC, _INTR_PREFETCH_ABORT, _INTR_BREAKPOINT = 2, 3, 7
 _INTR_EXCEPTION_EXIT, _INTR_NO_COPROCESSOR, _INTR_INVALID_STATE = 8, 17, 18
@@ -435,6 +436,13 @@ class Cpu:
         self._write_register(arm.UC_ARM_REG_PC, pc + division.INSTRUCTION_BYTES | 1)
         return True
 
+    def _go_on(self) -> None:
+        """After an access that is no fault after all. Unicorn has put the rest of the IT block into
+        XPSR, where the code that goes on does not expect it."""
+        xpsr = self._read_register(arm.UC_ARM_REG_XPSR)
+        if xpsr & _XPSR_IT:
+            self._write_register(arm.UC_ARM_REG_XPSR, xpsr & ~_XPSR_IT)
+
     def _fail(self, error: BaseException) -> None:
         """Here, and only here, stopping at once is right: the access is not to be repeated."""
         self._failure = self._failure or error
@@ -457,19 +465,25 @@ class Cpu:
                 return False
             stored = value & ((1 << 8 * width) - 1) if kind == UC_MEM_WRITE_PROT else None
             try:
-                return self._on_protected(address, width, stored)
+                passes = self._on_protected(address, width, stored)
             except BaseException as error:
                 self._fail(error)
                 return False
+            if passes:
+                self._go_on()
+            return passes
 
         self._hook(UC_HOOK_INTR, InterruptHook(on_intr))
         self._hook(UC_HOOK_INSN_INVALID, InvalidInstructionHook(on_invalid_instruction))
         self._hook(UC_HOOK_MEM_INVALID, InvalidMemoryHook(on_invalid_memory))
 
-    def _hook(self, kind: int, callback: object, data: object = 0) -> None:
+    def _hook(
+        self, kind: int, callback: object, data: object = 0, span: tuple[int, int] = _EVERYWHERE
+    ) -> None:
+        """``span``: first and last address of the accesses in question."""
         handle = ctypes.c_size_t()
         self._keep.append(callback)
-        begin, end = ctypes.c_uint64(1), ctypes.c_uint64(0)
+        begin, end = map(ctypes.c_uint64, span)
         status = library.uc_hook_add(
             self._handle, ctypes.byref(handle), kind, callback, data, begin, end
         )

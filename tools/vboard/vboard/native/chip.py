@@ -24,6 +24,7 @@ from vboard.core.cpu import (
 from vboard.core.engine import UcError
 from vboard.core.engine import library as engine_library
 from vboard.core.exceptions import Exceptions
+from vboard.core.memory import RAM_SIZE, RAM_START
 from vboard.core.mpu import Mpu
 from vboard.native.clock import NativeClock
 from vboard.native.core import Core
@@ -94,6 +95,7 @@ class _NativeCpu(Cpu):
 
     def __init__(self, on_protected: ProtectedCallback, fetch: FetchCallback, core: Core) -> None:
         self._core, self._state = core, core.state
+        self._watched: set[int] = set()
         super().__init__(on_protected, fetch)
         core.connect(self._table())
 
@@ -125,9 +127,25 @@ class _NativeCpu(Cpu):
         for kind, name in (
             (unicorn.UC_HOOK_INTR, "vb_chip_on_interrupt"),
             (unicorn.UC_HOOK_INSN_INVALID, "vb_chip_on_invalid_instruction"),
-            (unicorn.UC_HOOK_MEM_INVALID, "vb_chip_on_invalid_memory"),
+            (unicorn.UC_HOOK_TLB_FILL, "vb_chip_on_page"),
         ):
             self._hook(kind, address_of(name), self._core.handle)
+        self._watch(0, RAM_START)
+        self._watch(RAM_START + RAM_SIZE, 1 << 32)
+        self._engine.ctl_set_tlb_mode(unicorn.UC_TLB_VIRTUAL)
+
+    def protect(self, address: int, size: int, permissions: int) -> None:
+        """Restricts whole pages of 4096 bytes."""
+        if address not in self._watched:
+            self._watched.add(address)
+            self._watch(address, address + size)
+        super().protect(address, size, permissions)
+
+    def _watch(self, start: int, end: int) -> None:
+        """What is refused there is asked about."""
+        name = "vb_chip_on_invalid_memory"
+        span = (start, end - 1)
+        self._hook(unicorn.UC_HOOK_MEM_INVALID, address_of(name), self._core.handle, span)
 
     def _table(self) -> Engine:
         functions = {
@@ -153,8 +171,12 @@ class _NativeCpu(Cpu):
             write_prot=unicorn.UC_ERR_WRITE_PROT,
             fetch_prot=unicorn.UC_ERR_FETCH_PROT,
             insn_invalid=unicorn.UC_ERR_INSN_INVALID,
+            exception=unicorn.UC_ERR_EXCEPTION,
             mem_read_prot=unicorn.UC_MEM_READ_PROT,
             mem_write_prot=unicorn.UC_MEM_WRITE_PROT,
+            mem_fetch=unicorn.UC_MEM_FETCH,
+            prot_all=unicorn.UC_PROT_ALL,
+            prot_exec=unicorn.UC_PROT_EXEC,
         )
 
 

@@ -106,7 +106,9 @@ class Engine(ctypes.Structure):
         *((name, c_int32) for name in ("pc", "msp", "psp", "apsr")),
         *((name, c_int32) for name in ("ok", "read_unmapped", "write_unmapped", "fetch_unmapped")),
         *((name, c_int32) for name in ("read_prot", "write_prot", "fetch_prot", "insn_invalid")),
-        *((name, c_int32) for name in ("mem_read_prot", "mem_write_prot")),
+        *((name, c_int32) for name in ("exception", "mem_read_prot", "mem_write_prot")),
+        ("mem_fetch", c_int32),
+        *((name, c_uint32) for name in ("prot_all", "prot_exec")),
     ]
 
 
