@@ -41,12 +41,6 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError(f"faulthandler_timeout must be at least {20 * CPU_LIMIT_S:.0f}")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Those of the page first: a browser waits more than it computes, up to a minute, so others
-    run beside it. Last of all, it alone would be waited for."""
-    items.sort(key=lambda item: not item.path.name.startswith("test_ui"))
-
-
 def pytest_collection_finish() -> None:
     """Most of what there is now stays to the end: looked through for garbage seldom."""
     gc.set_threshold(50_000, 20, 50)

@@ -22,7 +22,7 @@ _STEPS = ("health", "tank", "trim", "measure", "limit", "law", "reference", "tri
 
 def test_by_mouse_on_a_laptop(simulator: Any, tmp_path: Path) -> None:
     with (
-        simulator(SPEED / 2) as (address, _),
+        simulator(SPEED) as (address, _),
         page_of(address, tmp_path) as (url, _),
         browsing(tmp_path / "downloads") as browser,
     ):
@@ -42,7 +42,7 @@ def test_by_mouse_on_a_laptop(simulator: Any, tmp_path: Path) -> None:
 def test_by_touch_on_a_phone(simulator: Any, tmp_path: Path) -> None:
     """With all choices as they are; ABORT ends it in the second trial."""
     with (
-        simulator(SPEED / 2) as (address, _),
+        simulator(SPEED) as (address, _),
         page_of(address, tmp_path) as (url, _),
         browsing(tmp_path / "downloads", Touched) as browser,
     ):

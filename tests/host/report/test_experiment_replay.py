@@ -258,7 +258,8 @@ def test_redo_tells_numbers_as_the_board_holds_them(tmp_path: Path) -> None:
 def test_redo_tells_what_fish_another_process_simulated(tmp_path: Path) -> None:
     """At the radio's port and at the wired console's."""
     stop = threading.Event()
-    server = SimServer(SimBoard("thesis", seed=7, tail_centre_rad=0.25), "tcp:127.0.0.1:0")
+    board = SimBoard("thesis", seed=7, tail_centre_rad=0.25)
+    server = SimServer(board, "tcp:127.0.0.1:0", speed=20.0)
     serving = threading.Thread(target=server.serve, args=(stop.is_set,))
     serving.start()
     try:

@@ -238,7 +238,8 @@ def test_text_is_as_wide_as_the_terminal(
     import shutil
 
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
-    monkeypatch.setattr(shutil, "get_terminal_size", lambda: os.terminal_size((columns, 24)))
+    size = os.terminal_size((columns, 24))
+    monkeypatch.setattr(shutil, "get_terminal_size", lambda *, fallback=None: size)
     assert run(["sim", "thesis", "ch2-a", "--cores", "1", "--iterations", "9"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert width - 8 <= max(map(len, lines)) <= width
