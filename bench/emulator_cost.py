@@ -74,7 +74,8 @@ class Cost:
 
 
 class Bare:
-    """Unicorn and memory; peripherals are memory too, which holds zeros."""
+    """Unicorn and memory as it is mapped by default; peripherals are memory too, of zeros. Code may
+    be anywhere, for which each store looks; on the board only where code has run."""
 
     def __init__(self, board: Board) -> None:
         engine = Uc(UC_ARCH_ARM, UC_MODE_THUMB)

@@ -130,13 +130,15 @@ class _NativeCpu(Cpu):
             (unicorn.UC_HOOK_TLB_FILL, "vb_chip_on_page"),
         ):
             self._hook(kind, address_of(name), self._core.handle)
+        # A page that is watched is slow to store to, so that of RAM only what is restricted is.
         self._watch(0, RAM_START)
         self._watch(RAM_START + RAM_SIZE, 1 << 32)
         self._engine.ctl_set_tlb_mode(unicorn.UC_TLB_VIRTUAL)
 
     def protect(self, address: int, size: int, permissions: int) -> None:
         """Restricts whole pages of 4096 bytes."""
-        if address not in self._watched:
+        in_ram = RAM_START <= address < RAM_START + RAM_SIZE
+        if in_ram and address not in self._watched:
             self._watched.add(address)
             self._watch(address, address + size)
         super().protect(address, size, permissions)
