@@ -327,14 +327,15 @@ def test_stopped_by_hand_in_a_beat(learned: Fish, board: SimBoard) -> None:
 def test_the_wall_guard_is_asked(learned: Fish) -> None:
     """What it stops has told enough, and the next run is executed."""
     seen: list[object] = []
+    beats: list[BeatEvent] = []
     runs: list[IdentificationRun] = []
 
     def guard(what: object) -> StopReason | None:
         seen.append(what)
-        beats = sum(isinstance(one, BeatEvent) for one in seen)
+        beats.extend([what] if isinstance(what, BeatEvent) else [])
         return (
             StopReason(StopKind.WALL, "wall: 0.2 m left")
-            if len(runs) == 1 and beats >= 20
+            if len(runs) == 1 and len(beats) >= 20
             else None
         )
 
