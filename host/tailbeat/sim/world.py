@@ -88,7 +88,7 @@ class World:
     def truth(self) -> FishState:
         """State of the fish at the last servo frame, at most 20 ms ago."""
         state = lib.world_truth(self._world)
-        return FishState(*(getattr(state, f.name) for f in dataclasses.fields(FishState)))
+        return FishState(*[getattr(state, name) for name in FishState.__match_args__])
 
     def true_beats(self) -> F64:
         """True mean speed of each beat of the present or last trial, m/s."""
