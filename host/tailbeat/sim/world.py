@@ -88,6 +88,7 @@ class World:
     def truth(self) -> FishState:
         """State of the fish at the last servo frame, at most 20 ms ago."""
         state = lib.world_truth(self._world)
+        # The names of its fields, at hand: asked at each turn of a loop.
         return FishState(*[getattr(state, name) for name in FishState.__match_args__])
 
     def true_beats(self) -> F64:

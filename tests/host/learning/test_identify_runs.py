@@ -332,7 +332,8 @@ def test_the_wall_guard_is_asked(learned: Fish) -> None:
 
     def guard(what: object) -> StopReason | None:
         seen.append(what)
-        beats.extend([what] if isinstance(what, BeatEvent) else [])
+        if isinstance(what, BeatEvent):
+            beats.append(what)
         return (
             StopReason(StopKind.WALL, "wall: 0.2 m left")
             if len(runs) == 1 and len(beats) >= 20

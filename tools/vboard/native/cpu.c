@@ -218,7 +218,9 @@ bool vb_cpu_on_page(vb_cpu_t *cpu, uint32_t address, int kind, vb_page_t *page) 
     if (address - VB_RAM_START < VB_RAM_BYTES) {
         bool *executes = &cpu->executes[(address - VB_RAM_START) / VB_PAGE_BYTES];
         *executes = *executes || fetch;
-        page->permissions &= *executes ? UINT32_MAX : ~engine->prot_exec;
+        if (!*executes) {
+            page->permissions &= ~engine->prot_exec;
+        }
     }
     return true;
 }

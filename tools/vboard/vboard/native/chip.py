@@ -136,7 +136,7 @@ class _NativeCpu(Cpu):
         self._engine.ctl_set_tlb_mode(unicorn.UC_TLB_VIRTUAL)
 
     def protect(self, address: int, size: int, permissions: int) -> None:
-        """Restricts whole pages of 4096 bytes."""
+        """As the reference; of RAM, a page is watched from the first time on."""
         in_ram = RAM_START <= address < RAM_START + RAM_SIZE
         if in_ram and address not in self._watched:
             self._watched.add(address)
@@ -145,9 +145,8 @@ class _NativeCpu(Cpu):
 
     def _watch(self, start: int, end: int) -> None:
         """What is refused there is asked about."""
-        name = "vb_chip_on_invalid_memory"
-        span = (start, end - 1)
-        self._hook(unicorn.UC_HOOK_MEM_INVALID, address_of(name), self._core.handle, span)
+        asked = address_of("vb_chip_on_invalid_memory")
+        self._hook(unicorn.UC_HOOK_MEM_INVALID, asked, self._core.handle, (start, end - 1))
 
     def _table(self) -> Engine:
         functions = {
