@@ -2,8 +2,9 @@
 
 Each case is one fish, one reference and one or two causes, the first scaled until the error of the
 fish's input (on its noise-free plant) is about 1.75 times what it was, a second at 0.4 of its own
-scale. Causes act from the first trial on, a changed fish from the second. Named: within three
-trials. Usage: causes.py [FISH FIRST_SEED [CAUSE[+CAUSE],...]]
+scale. Causes act from the first trial on; a fish changes after one healthy trial, and in rows of
+their own after four. Named: within three trials of the cause. Usage: causes.py [FISH FIRST_SEED
+[CAUSE[+CAUSE],...]]
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ MOST_RAD, FEASIBLE_RAD = 1.0, 0.9
 RAISED, RAISED_MIN = 1.75, 1.5  # times the healthy error: what is aimed at, what counts as reached
 SECOND = 0.4  # of its own scale
 WITHIN = 3  # trials
+CHANGES_AFTER = (1, 4)  # healthy trials
 WORSE_MOST_M_S = 0.001
 BY_P_LAW = (C.MISSING, C.GAIN)  # what the model-based law does not know
 SCALES: dict[Cause, F64] = {
@@ -98,7 +100,8 @@ def noisier(fish: dict[str, float], times: float) -> dict[str, float]:
 
 @dataclass
 class Fish:
-    """One fish with causes. ``top_rad``: of its healthy input; ``trial`` 0: before the series."""
+    """One fish with causes. ``top_rad``: of its healthy input; ``trial`` 0: before the series;
+    ``healthy``: trials of the series before it changes."""
 
     plant: str
     seed: int
@@ -106,6 +109,7 @@ class Fish:
     top_rad: float = MOST_RAD
     repeat: int = 0
     trial: int = 0
+    healthy: int = CHANGES_AFTER[0]
     _numbers: Iterator[int] = field(default_factory=lambda: count(1))
 
     def __post_init__(self) -> None:
@@ -146,7 +150,7 @@ class Fish:
         if C.MISFIT in self.scales:
             near = (amplitude - 0.75 * self.top_rad) / (0.12 * self.top_rad)
             amplitude = amplitude * (1 - self.scales[C.MISFIT] * np.exp(-(near**2)))
-        if C.CHANGED in self.scales and self.trial > 1:
+        if C.CHANGED in self.scales and self.trial > self.healthy:
             amplitude = amplitude * (1 - self.scales[C.CHANGED])
         return np.asarray(amplitude)
 
@@ -307,12 +311,16 @@ def name_of(causes: tuple[Cause, ...]) -> str:
     return " + ".join(causes) or "none"
 
 
-def outcome_of(job: tuple[str, int, str, tuple[Cause, ...]]) -> Outcome:
-    case = Case(*job)
+def outcome_of(job: tuple[str, int, str, tuple[Cause, ...], int]) -> Outcome:
+    plant, seed, reference_name, causes, healthy = job
+    case = Case(plant, seed, reference_name, causes)
     series = case.series(case.scales)
+    series.fish.healthy = healthy
     named: list[Cause] = []
     worse: float | None = None
-    for _ in range(WITHIN + (C.CHANGED in case.causes)):
+    for _ in range(healthy):
+        series.executed()
+    for _ in range(WITHIN):
         error = series.executed()
         if found := series.found():
             named.append(found[0].cause)
@@ -326,7 +334,8 @@ def outcome_of(job: tuple[str, int, str, tuple[Cause, ...]]) -> Outcome:
     wanted = case.causes[0] if case.causes else None
     said = wanted if wanted in named else named[0] if named else None
     raised = case.raised if case.causes else 1.0
-    key = case.plant, case.reference_name, name_of(case.causes)
+    late = f" after {healthy} trials" if healthy > CHANGES_AFTER[0] else ""
+    key = case.plant, case.reference_name, name_of(case.causes) + late
     return Outcome(key, said or "none", raised, worse)
 
 
@@ -342,7 +351,8 @@ def main(load: Load = FULL, arguments: Sequence[str] = ()) -> int:
     print(f"{fish} fish each, seeds from {first} on; reached: the error was raised by half or more")
     rows: defaultdict[tuple[str, str, str], list[Outcome]] = defaultdict(list)
     with ProcessPoolExecutor(2) as pool:
-        jobs = [(p, s, r, c) for c, p, r, s in product(cases, load.plants, load.references, seeds)]
+        jobs = [(p, s, r, c, n) for c in cases for n in (CHANGES_AFTER if C.CHANGED in c else (0,))
+                for p, r, s in product(load.plants, load.references, seeds)]  # fmt: skip
         for outcome in pool.map(outcome_of, jobs):
             row = rows[outcome.key]
             row.append(outcome)
@@ -362,7 +372,7 @@ def row_text(key: tuple[str, str, str], row: list[Outcome]) -> str:
     good = sum(one <= WORSE_MOST_M_S for one in worse)
     plant, reference, causes = key
     return (
-        f"{plant:9} {reference:8} {causes:46} {len(row)} fish, {reached} reached: {counts};"
+        f"{plant:9} {reference:8} {causes:50} {len(row)} fish, {reached} reached: {counts};"
         f" followed {good} of {len(worse)}"
     )
 

@@ -3,9 +3,9 @@
 The speeds of all compared trials, less those expected, are weighed at once. An explanation says
 how they vary together, which gives them a density; sizes that nobody knows beforehand are tried on
 a grid. What comes again at the same amplitudes is the model's fault, what each trial has alone is
-the water's, one gain and one flow from some trial on are the fish's. How much trials differ as a
-whole and how much the water moves within them are two sizes: a fish that is placed with care shows
-a change even where the water moves.
+the water's, one gain from some trial on, at times with a flow, is the fish's. How much trials
+differ as a whole and how much the water moves within them are two sizes: a fish that is placed with
+care shows a change even where the water moves.
 """
 
 from __future__ import annotations
@@ -50,6 +50,9 @@ _SHAKEN = (_BOTH >= _DISTURBED) | (_DIFFER >= _DIFFERENT)
 # How likely everything else is, in parts; of a change or a spoilt trial, any trial alike.
 _USUAL, _OTHER, _MAP, _SPOILT, _CHANGED = 0.6, 0.05, 0.05, 0.08, 0.4
 _AGREE = 2  # so many trials tell a change from a spoilt one
+# Part of the changes that bring another flow, too. Battery, fin and ballast change the thrust
+# alone, and what is looked for in fewer ways is found by chance less often.
+_FLOW_TOO = 0.2
 # Another map from amplitude to thrust: a smooth curve with this standard deviation and reach.
 _MAP_PART, _MAP_REACH_RAD = 0.1, 0.15
 _MAP_RAD = np.arange(0.1, 1.3, _MAP_REACH_RAD)
@@ -62,8 +65,8 @@ _FLOW, _GAIN = _COUNT + 1, _COUNT + 2  # columns of the slopes
 class Departure:
     """``chance``: its probability. ``effect_m_s``: the largest on a beat, with its sign: of a
     change in the last trial, of a misfit on average; of a disturbance the RMS over the trials.
-    ``since``: index of the trial that a change begins with. ``best``: of the one whose error is
-    smallest without what does not come again."""
+    ``since``: index of the first trial that shows it: the one that a change begins with, else 0.
+    ``best``: of the one whose error is smallest without what does not come again."""
 
     kind: Kind
     chance: float
@@ -103,7 +106,8 @@ def departures(
             one = explanations[int(which)]
             parts = _parts(stack, one, *map(int, sizes))
             effect, best = _EFFECT[kind](stack, parts), _best(stack, parts, wanted_m_s)
-            found[kind] = Departure(kind, float(chances.sum()), effect, one.since, best)
+            since = one.since if kind == "changed" else 0
+            found[kind] = Departure(kind, float(chances.sum()), effect, since, best)
         return found
 
 
@@ -193,10 +197,11 @@ def _explanations(stack: _Stack) -> Iterator[_Explanation]:
     yield _Explanation("misfit", _MAP, stack.map)
     for at in range(count):
         spoilt = stack.conditions([at], SPOILT_FLOW_M_S, SPOILT_GAIN)
-        yield _Explanation("spoilt", _SPOILT / count, spoilt, at)
+        yield _Explanation("spoilt", _SPOILT / count, spoilt)
     for since in range(1, count - _AGREE + 1):
-        changed = stack.conditions(range(since, count), CHANGED_FLOW_M_S, CHANGED_GAIN)
-        yield _Explanation("changed", _CHANGED / (count - _AGREE), changed, since)
+        both = stack.conditions(range(since, count), CHANGED_FLOW_M_S, CHANGED_GAIN)
+        for part, directions in ((_FLOW_TOO, both), (1 - _FLOW_TOO, both[:, 1:])):
+            yield _Explanation("changed", part * _CHANGED / (count - _AGREE), directions, since)
 
 
 def _weighed(stack: _Stack, explanations: Sequence[_Explanation]) -> F64:

@@ -34,15 +34,17 @@ _GAIN_PART = 0.75  # of the gain from which on nothing contracts at steady speed
 _TELLING_TRIALS = 3
 _TRIALS_MAX = 6  # the last ones are compared
 
-# So many trials show a departure (one alone may be a disturbance as well as a misfit), with so much
-# probability and such a part of the last trial's largest error. Up to four trials a change is named
-# sooner, as there are fewer that it could begin with by chance. bench/causes.py counts how often
-# all of this is right.
-_SHOWN_BY: dict[Kind, int] = {"changed": 3, "misfit": 2, "disturbed": 3}
-_SURE: dict[Kind, float] = {"changed": 0.5, "misfit": 0.45, "disturbed": 0.7}
-_EARLY_TRIALS, _SURE_EARLY = 4, _SURE | {"changed": 0.35}
-_ERROR_PART = 0.35
-_MAY_BE_DISTURBED = 0.9  # probability; then nobody can tell what a model misses
+_SURELY_DISTURBED = 0.95  # then nobody can tell what a model misses, and a change must be as sure
+_ERROR_PART = 0.3  # of the last trial's largest error: departures that do less are not named
+
+
+# So many trials that show it are needed to name a departure, and its probability with so many, and
+# with more. One trial alone may be a disturbance as well as a misfit. As few as are needed tell
+# little: what must be surer at first is found by chance less often. bench/causes.py counts how
+# often all of this is right.
+_NEEDS: dict[Kind, tuple[int, float, float]] = {
+    "changed": (2, 0.6, 0.35), "misfit": (2, 0.8, 0.45), "disturbed": (3, 0.55, 0.55)
+}  # fmt: skip
 
 
 class Cause(StrEnum):
@@ -151,12 +153,10 @@ def _infeasible(evidence: Evidence) -> CauseFound | None:
     spots = [one for one in evidence.bound.spots if not _coming_to_rest(one, evidence)]
     if not spots or abs(spots[0].error_m_s) < SHARE_MIN_M_S:
         return None
-    worst = spots[0]
-    share = abs(worst.error_m_s)
+    worst, share = spots[0], abs(spots[0].error_m_s)
     number = f"no input gets nearer than {mm(share)} mm/s there ({worst.why})"
     place = spans(range(worst.first, worst.last + 1))
-    proposal = "use the nearest feasible reference"
-    return CauseFound(Cause.INFEASIBLE, share, number, place, proposal)
+    return CauseFound(Cause.INFEASIBLE, share, number, place, "use the nearest feasible reference")
 
 
 def _coming_to_rest(spot: Miss, evidence: Evidence) -> bool:
@@ -175,9 +175,8 @@ def _missing(evidence: Evidence) -> CauseFound | None:
         return None
     share = max(evidence.max_abs_error_m_s * len(beats) / executed, SHARE_MIN_M_S)
     number = f"{len(beats)} of {executed} beats have no speed, or a doubtful one"
-    return CauseFound(
-        Cause.MISSING, share, number, spans(beats), "check the camera and the IMU before going on"
-    )
+    proposal = "check the camera and the IMU before going on"
+    return CauseFound(Cause.MISSING, share, number, spans(beats), proposal)
 
 
 def _gain(evidence: Evidence) -> CauseFound | None:
@@ -201,8 +200,10 @@ def _departing(evidence: Evidence) -> CauseFound | None:
     wanted_m_s = np.asarray(evidence.reference.speed_m_s, dtype=np.float64)
     found = departures(evidence.before, evidence.compared, wanted_m_s)
     named = {kind: one for kind, one in found.items() if _is_named(one, evidence)}
-    if found["disturbed"].chance > _MAY_BE_DISTURBED:
+    if found["disturbed"].chance > _SURELY_DISTURBED:
         named.pop("misfit", None)
+        if found["changed"].chance < _SURELY_DISTURBED:
+            named.pop("changed", None)
     if not named:
         return None
     most = max(named.values(), key=lambda one: abs(one.effect_m_s))
@@ -210,11 +211,11 @@ def _departing(evidence: Evidence) -> CauseFound | None:
 
 
 def _is_named(one: Departure, evidence: Evidence) -> bool:
-    count = len(evidence.compared)
-    sure = _SURE[one.kind] if count > _EARLY_TRIALS else _SURE_EARLY[one.kind]
+    trials, at_first, later = _NEEDS[one.kind]
+    shown_by = len(evidence.compared) - one.since
+    sure = one.chance >= (at_first if shown_by == trials else later)
     least_m_s = max(SHARE_MIN_M_S, _ERROR_PART * evidence.max_abs_error_m_s)
-    shown = count >= _SHOWN_BY[one.kind] and one.chance >= sure
-    return shown and abs(one.effect_m_s) >= least_m_s
+    return shown_by >= trials and sure and abs(one.effect_m_s) >= least_m_s
 
 
 def _disturbance(evidence: Evidence, found: Departure) -> CauseFound:
@@ -228,9 +229,8 @@ def _disturbance(evidence: Evidence, found: Departure) -> CauseFound:
 
 
 def _misfit(evidence: Evidence, found: Departure) -> CauseFound:
-    share = abs(found.effect_m_s)
+    share, proposal = abs(found.effect_m_s), "measure the fish again (one trial)"
     number = f"the measured model misses every trial by {mm(share)} mm/s in the same way"
-    proposal = "measure the fish again (one trial)"
     return CauseFound(Cause.MISFIT, share, number, "every trial", proposal)
 
 
@@ -239,8 +239,7 @@ def _changed(evidence: Evidence, found: Departure) -> CauseFound:
     sign = "+" if found.effect_m_s > 0 else "-"
     number = f"{sign}{mm(share)} mm/s at the same amplitudes (battery, ballast, fin?)"
     proposal = "look at battery and fin; if nothing is wrong, measure the fish again (one trial)"
-    place = f"since trial {first}"
-    return CauseFound(Cause.CHANGED, share, number, place, proposal, value=float(first))
+    return CauseFound(Cause.CHANGED, share, number, f"since trial {first}", proposal, float(first))
 
 
 _BY_KIND: dict[Kind, Callable[[Evidence, Departure], CauseFound]] = {

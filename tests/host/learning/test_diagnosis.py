@@ -133,14 +133,30 @@ def test_a_fish_that_changed() -> None:
     assert found[0].share_m_s == pytest.approx(0.02, rel=0.3) and found[0].number.startswith("-")
 
 
+def waves(size_m_s: float, trials: int, seed: int) -> F64:
+    fresh = np.random.default_rng(seed).normal(0, size_m_s, (trials, FEASIBLE.beats))
+    found: F64 = lfilter([1.0], [1.0, -np.exp(-1 / MOVES_S)], fresh, axis=1)
+    return found
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_moving_water_hides_no_change(seed: int) -> None:
     """Trials that differ little as a whole show a change that is no larger than the waves."""
-    fresh = np.random.default_rng(seed).normal(0, 0.0014, (6, FEASIBLE.beats))
-    waves = lfilter([1.0], [1.0, -np.exp(-1 / MOVES_S)], fresh, axis=1)
     lost = np.repeat([0.0, 0.006], 3)[:, None]
-    found = departures_of(shifted(trials_of(FEASIBLE, 6), list(waves - lost)))
+    found = departures_of(shifted(trials_of(FEASIBLE, 6), list(waves(0.0014, 6, seed) - lost)))
     assert found["changed"].chance > 0.95 and found["changed"].since == 3
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_trials_that_all_differ_are_no_change(seed: int) -> None:
+    """Though the last two are both slower than the first, which is likely by chance."""
+    trials = trials_of(FEASIBLE)
+    own = [Conditions(gain=gain) for gain in (1.05, 0.9, 0.94)]
+    amplitude = trials[0].amplitude_rad
+    gained = [MODEL.beats(amplitude, 1.0, one) - MODEL.beats(amplitude, 1.0) for one in own]
+    trials = shifted(trials, list(waves(0.002, 3, seed) + gained))
+    assert departures_of(trials)["changed"].chance > 0.7
+    assert causes(trials) == [Cause.DISTURBANCE]
 
 
 def test_one_spoilt_trial_is_no_change() -> None:
