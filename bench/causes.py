@@ -1,8 +1,8 @@
 """Planted causes: how often the diagnosis names them on random fish, and what its proposal does.
 
-Each case is one fish, one reference and one or two causes, the first scaled until the error of the
-fish's input (on its noise-free plant) is about 1.75 times what it was, a second at 0.4 of its own
-scale. Causes act from the first trial on; a fish changes after one healthy trial, and in rows of
+Each case is one fish, one reference and one or two causes, the first scaled so that the error of
+the fish's input (on its noise-free plant) is about 1.75 times what it was, a second at 0.4 of its
+own scale. Causes act from the first trial on; a fish changes after one healthy trial, and in rows of
 their own after four. Named: within three trials of the cause. Usage: causes.py [FISH FIRST_SEED
 [CAUSE[+CAUSE],...]]
 """
@@ -43,18 +43,20 @@ C = Cause
 MOST_RAD, FEASIBLE_RAD = 1.0, 0.9
 RAISED, RAISED_MIN = 1.75, 1.5  # times the healthy error: what is aimed at, what counts as reached
 SECOND = 0.4  # of its own scale
+DRAWS = 3  # of noise, for each error that is compared
 WITHIN = 3  # trials
 CHANGES_AFTER = (1, 4)  # healthy trials
 WORSE_MOST_M_S = 0.001
 BY_P_LAW = (C.MISSING, C.GAIN)  # what the model-based law does not know
+STEPS = 64  # of a scale
 SCALES: dict[Cause, F64] = {
-    C.SATURATION: np.linspace(0.98, 0.4, 30),  # the limit, of the healthy input's top
-    C.INFEASIBLE: np.linspace(0.05, 1.0, 20),  # how deep the speed dips for some beats
-    C.MISSING: np.linspace(0.1, 0.95, 12),  # of the beats
-    C.DISTURBANCE: np.geomspace(1.5, 12, 10),  # times the fish's own
-    C.MISFIT: np.linspace(0.03, 0.5, 16),  # thrust lost around 75 % of the top amplitude
-    C.CHANGED: np.linspace(0.02, 0.4, 20),  # thrust lost
-    C.GAIN: np.geomspace(1.2, 6, 14),  # times the designed gain
+    C.SATURATION: np.linspace(0.99, 0.4, STEPS),  # the limit, of the healthy input's top
+    C.INFEASIBLE: np.linspace(0.02, 1.0, STEPS),  # how deep the speed dips for some beats
+    C.MISSING: np.linspace(0.05, 0.95, STEPS),  # of the beats
+    C.DISTURBANCE: np.geomspace(1.2, 12, STEPS),  # times the fish's own
+    C.MISFIT: np.geomspace(0.01, 0.5, STEPS),  # thrust lost around 75 % of the top amplitude
+    C.CHANGED: np.geomspace(0.005, 0.4, STEPS),  # thrust lost
+    C.GAIN: np.geomspace(1.1, 6, STEPS),  # times the designed gain
 }
 HEALTHY = {C.SATURATION: 1.0, C.DISTURBANCE: 1.0, C.GAIN: 1.0}  # the others: 0
 PAIRS = (
@@ -266,7 +268,7 @@ class Case:
 
     def series(self, scales: Scales, repeat: int = 0) -> Series:
         fish = Fish(self.plant, self.seed, scales, self.top_rad, repeat)
-        identified = fish.measured() if C.MISFIT in scales else self.identified
+        identified = fish.measured() if repeat or C.MISFIT in scales else self.identified
         reference, law = self.reference, self.law
         if C.INFEASIBLE in scales:
             reference = dipping(reference, scales[C.INFEASIBLE])
@@ -276,24 +278,30 @@ class Case:
         return Series(fish, identified, reference, limit, law)
 
     def _scaled(self, cause: Cause) -> tuple[float, float]:
-        """The scale that raises the error enough, or the largest there is; and what it does."""
-        repeats = 3 if cause is C.DISTURBANCE else 1
-        usual = self._errors({}, 3)
-        scale = raised = 0.0
-        for scale in map(float, SCALES[cause]):
-            errors = self._errors({cause: scale}, repeats)
-            late = self.law is not None or cause is C.DISTURBANCE
-            trials = slice(0, 1) if cause is C.MISFIT else slice(2, 4) if late else slice(1, 2)
-            raised = float(errors[trials].mean() / usual[trials].mean())
-            if raised >= RAISED:
-                break
-        return scale, raised
+        """The scale by which the error is raised as much as is aimed at, or the largest there is;
+        and what it does. The error is the mean over several draws of noise, the same ones with the
+        cause and without: in one draw, noise alone may raise it as much."""
+        late = self.law is not None or cause is C.DISTURBANCE
+        trials = slice(0, 1) if cause is C.MISFIT else slice(2, 4) if late else slice(1, 2)
+        usual = self._error({}, trials)
 
-    def _errors(self, scales: Scales, repeats: int) -> F64:
-        """Of four inputs."""
-        rows = [self.series(scales, repeat) for repeat in range(repeats)]
-        errors: F64 = np.mean([[one.executed() for _ in range(4)] for one in rows], axis=0)
-        return errors
+        def raised_by(step: int) -> float:
+            return self._error({cause: SCALES[cause][step]}, trials) / usual
+
+        raised: dict[int, float] = {}
+        low, high = 0, STEPS - 1
+        while low < high:  # errors grow with the scale, by and large
+            middle = (low + high) // 2
+            raised[middle] = raised_by(middle)
+            low, high = (low, middle) if raised[middle] >= RAISED else (middle + 1, high)
+        raised[high] = raised[high] if high in raised else raised_by(high)
+        nearest = min(raised, key=lambda step: abs(raised[step] - RAISED))
+        return float(SCALES[cause][nearest]), raised[nearest]
+
+    def _error(self, scales: Scales, trials: slice) -> float:
+        """Mean over these trials of the first four, and over draws of noise."""
+        rows = [self.series(scales, repeat) for repeat in range(DRAWS)]
+        return float(np.mean([[one.executed() for _ in range(4)][trials] for one in rows]))
 
 
 @dataclass(frozen=True)

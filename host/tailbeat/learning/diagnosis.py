@@ -37,7 +37,6 @@ _TRIALS_MAX = 6  # the last ones are compared
 _SURELY_DISTURBED = 0.95  # then nobody can tell what a model misses, and a change must be as sure
 _ERROR_PART = 0.3  # of the last trial's largest error: departures that do less are not named
 
-
 # So many trials that show it are needed to name a departure, and its probability with so many, and
 # with more. One trial alone may be a disturbance as well as a misfit. As few as are needed tell
 # little: what must be surer at first is found by chance less often. bench/causes.py counts how
