@@ -3,7 +3,7 @@ MAKEFLAGS += --no-print-directory
 SHELL := /bin/sh
 BIN := .venv/bin
 PYTHON := $(CURDIR)/$(BIN)/python
-# test_trial_log writes a trial file here, which the tests of the host tool read.
+# test_trial_log writes a trial file here, which test_ulog_format reads.
 export TRIAL_LOG_OUT := $(CURDIR)/build/test_trial.ulg
 # Says every few seconds that a long command is still at work.
 STEP := tools/step
@@ -42,8 +42,8 @@ demo: package ## a simulated fish learns the thesis's speed profile
 
 test: toolchain ## all tests: C (sanitized, and on a Cortex-M3), host tool, flash image
 	@$(RUN_ALL) --costs build/test_costs.txt --cpu-max $(TEST_CPU_MAX_S) \
-		unit '$(MAKE) unit coverage' qemu '$(MAKE) qemu' image '$(MAKE) image' \
-		'host and system' '$(MAKE) host_tests'
+		--beside unit '$(MAKE) unit coverage' --beside qemu '$(MAKE) qemu' \
+		'host and system' '$(MAKE) host_tests' image '$(MAKE) image'
 
 image: package firmware smartfusion2 conformance_programs ## only the tests of the flash image
 	@tools/bootstrap image
@@ -206,6 +206,7 @@ unit: bootstrap
 	@$(STEP) "building the unit tests" cmake --build build/unit
 	@find build/unit -name '*.gcda' -delete
 	@$(BIN)/python tests/unit/run.py build/unit
+	@$(BIN)/pytest tests/unit/test_ulog_format.py
 
 coverage:
 	@echo "Line coverage of firmware/ by the unit tests:"

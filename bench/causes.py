@@ -2,8 +2,8 @@
 
 Each case is one fish, one reference and one or two causes, the first scaled so that the error of
 the fish's input (on its noise-free plant) is about 1.75 times what it was, a second at 0.4 of its
-own scale. Causes act from the first trial on; a fish changes after one healthy trial, and in rows of
-their own after four. Named: within three trials of the cause. Usage: causes.py [FISH FIRST_SEED
+own scale. Causes act from the first trial on; a fish changes after one healthy trial, and in rows
+of their own after four. Named: within three trials of the cause. Usage: causes.py [FISH FIRST_SEED
 [CAUSE[+CAUSE],...]]
 """
 
@@ -294,7 +294,8 @@ class Case:
             middle = (low + high) // 2
             raised[middle] = raised_by(middle)
             low, high = (low, middle) if raised[middle] >= RAISED else (middle + 1, high)
-        raised[high] = raised[high] if high in raised else raised_by(high)
+        if high not in raised:
+            raised[high] = raised_by(high)
         nearest = min(raised, key=lambda step: abs(raised[step] - RAISED))
         return float(SCALES[cause][nearest]), raised[nearest]
 

@@ -1,10 +1,12 @@
 """Runs several commands one after the other, also when one fails, and sums up at the end.
 
-Usage: run_all.py [--costs FILE] [--cpu-max S] NAME COMMAND [NAME COMMAND ...]. Every command goes
-to the shell. The exit status is 1 when at least one failed, or when all together used more than S
-seconds of CPU time, told on a machine as quick as the one of the budget: a fixed piece of work,
-before, between and after the commands, says how quick this one was. CPU time is that of a command
-with all processes it waited for.
+Usage: run_all.py [--costs FILE] [--cpu-max S] [--beside NAME COMMAND ...] NAME COMMAND [NAME
+COMMAND ...]. Every command goes to the shell. Those of --beside run one after the other while the
+first command does, with what it leaves of the processors, and print at their end; the second
+command waits for them. The exit status is 1 when at least one failed, or when all together used
+more than S seconds of CPU time, told on a machine as quick as the one of the budget: a fixed piece
+of work, before, between and after the commands, says how quick this one was. CPU time is that of a
+command with all processes it waited for.
 
 With FILE, the commands add lines `<CPU seconds> <what>` to the file that TEST_COSTS names; the
 largest are printed.
@@ -19,8 +21,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO
 
 COSTS_VARIABLE = "TEST_COSTS"
 LARGEST = 20
@@ -43,10 +48,12 @@ class Outcome:
         return f"  {self.name:24} {self.wall_s:7.0f} s {self.cpu_s:7.0f} s  {verdict}"
 
 
-def run(name: str, command: str) -> Outcome:
-    """Runs ``command`` in a shell and waits for its end."""
+def run(name: str, command: str, output: IO[bytes] | None = None) -> Outcome:
+    """Runs ``command`` in a shell and waits for its end. ``output``: where that of a command goes
+    which leaves the processors to others."""
     begin_s = time.monotonic()
-    process = subprocess.Popen(command, shell=True)
+    nice = [] if output is None else ["nice", "-n", "10"]
+    process = subprocess.Popen([*nice, "sh", "-c", command], stdout=output, stderr=output)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     cpu_s = usage.ru_utime + usage.ru_stime
@@ -88,8 +95,20 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, add_help=False)
     parser.add_argument("--costs", type=Path)
     parser.add_argument("--cpu-max", type=float)
+    parser.add_argument("--beside", nargs=2, action="append", default=[])
     parser.add_argument("pairs", nargs="*")
     return parser.parse_args(arguments)
+
+
+def run_first(first: tuple[str, str], beside: Sequence[Sequence[str]]) -> list[Outcome]:
+    """The first command, and those beside it, whose outcomes come first."""
+    with ThreadPoolExecutor(1) as pool, TemporaryFile() as output:
+        others = [pool.submit(run, name, command, output) for name, command in beside]
+        found = run(*first)
+        outcomes = [*(other.result() for other in others), found]
+        output.seek(0)
+        print(output.read().decode(errors="replace"), end="", flush=True)
+    return outcomes
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -102,9 +121,11 @@ def main(arguments: Sequence[str]) -> int:
         asked.costs.parent.mkdir(parents=True, exist_ok=True)
         asked.costs.unlink(missing_ok=True)
         os.environ[COSTS_VARIABLE] = str(asked.costs.resolve())
-    pairs = zip(asked.pairs[::2], asked.pairs[1::2], strict=True)
+    first, *pairs = zip(asked.pairs[::2], asked.pairs[1::2], strict=True)
     judged = asked.cpu_max is not None
-    outcomes, works_s = [], [fixed_work()] if judged else []
+    works_s = [fixed_work()] if judged else []
+    outcomes = run_first(first, asked.beside)
+    works_s += [fixed_work()] if judged else []
     for name, command in pairs:
         outcomes.append(run(name, command))
         works_s += [fixed_work()] if judged else []

@@ -43,6 +43,17 @@ def test_the_largest_costs_are_listed_and_more_than_the_budget_fails(tmp_path: P
     assert run.returncode == 1 and "s of CPU time, at most 0" in run.stdout
 
 
+def test_what_runs_beside_the_first_ends_before_the_second(tmp_path: Path) -> None:
+    met = tmp_path / "met"
+    waits = f"until [ -e {met} ]; do sleep 0.01; done; echo front"
+    run = run_all(
+        "--beside", "aside", f"touch {met}; nice; echo asides >&2; exit 3",
+        "--beside", "more", "echo more", "first", waits, "second", f"rm {met} && echo second",
+    )  # fmt: skip
+    assert run.returncode == 1 and "FAILED: 1 of 4: aside" in run.stdout
+    assert run.stdout.split()[:5] == ["front", str(os.nice(0) + 10), "asides", "more", "second"]
+
+
 def test_integration_runs_both_and_fails_when_either_does(tmp_path: Path) -> None:
     ci = tmp_path / ".ci" / "run"
     ci.parent.mkdir()
