@@ -42,7 +42,7 @@ _ERROR_PART = 0.3  # of the last trial's largest error: departures that do less 
 # little: what must be surer at first is found by chance less often. bench/causes.py counts how
 # often all of this is right.
 _NEEDS: dict[Kind, tuple[int, float, float]] = {
-    "changed": (2, 0.6, 0.35), "misfit": (2, 0.8, 0.45), "disturbed": (3, 0.55, 0.55)
+    "changed": (2, 0.7, 0.35), "misfit": (2, 0.7, 0.4), "disturbed": (3, 0.75, 0.75)
 }  # fmt: skip
 
 
