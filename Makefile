@@ -32,7 +32,7 @@ UNLIMITED := -o faulthandler_timeout=0
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $$(nproc) --dist worksteal
 
 .PHONY: help demo test image qemu soak bench firmware sbom flash size check docs dist clean lock bootstrap package \
-	unit host_tests coverage toolchain fuzz bench_programs conformance_programs smartfusion2
+	unit trial_log host_tests coverage toolchain fuzz bench_programs conformance_programs smartfusion2
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -42,7 +42,7 @@ demo: package ## a simulated fish learns the thesis's speed profile
 
 test: toolchain ## all tests: C (sanitized, and on a Cortex-M3), host tool, flash image
 	@$(RUN_ALL) --costs build/test_costs.txt --cpu-max $(TEST_CPU_MAX_S) \
-		--beside unit '$(MAKE) unit coverage' --beside qemu '$(MAKE) qemu' \
+		--beside unit '$(MAKE) unit trial_log coverage' --beside qemu '$(MAKE) qemu' \
 		'host and system' '$(MAKE) host_tests' image '$(MAKE) image'
 
 image: package firmware smartfusion2 conformance_programs ## only the tests of the flash image
@@ -206,6 +206,8 @@ unit: bootstrap
 	@$(STEP) "building the unit tests" cmake --build build/unit
 	@find build/unit -name '*.gcda' -delete
 	@$(BIN)/python tests/unit/run.py build/unit
+
+trial_log: # what a C test wrote, as pyulog reads it
 	@$(BIN)/pytest tests/unit/test_ulog_format.py
 
 coverage:

@@ -100,11 +100,15 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def run_first(first: tuple[str, str], beside: Sequence[Sequence[str]]) -> list[Outcome]:
-    """The first command, and those beside it, whose outcomes come first."""
+def run_with(command: Sequence[str], beside: Sequence[Sequence[str]]) -> list[Outcome]:
+    """A command, and those beside it, whose outcomes come first. Each: its name and itself."""
     with ThreadPoolExecutor(1) as pool, TemporaryFile() as output:
-        others = [pool.submit(run, name, command, output) for name, command in beside]
-        found = run(*first)
+        others = [pool.submit(run, *other, output) for other in beside]
+        try:
+            found = run(*command)
+        except KeyboardInterrupt:
+            pool.shutdown(cancel_futures=True)  # none begins any more
+            raise
         outcomes = [*(other.result() for other in others), found]
         output.seek(0)
         print(output.read().decode(errors="replace"), end="", flush=True)
@@ -121,13 +125,12 @@ def main(arguments: Sequence[str]) -> int:
         asked.costs.parent.mkdir(parents=True, exist_ok=True)
         asked.costs.unlink(missing_ok=True)
         os.environ[COSTS_VARIABLE] = str(asked.costs.resolve())
-    first, *pairs = zip(asked.pairs[::2], asked.pairs[1::2], strict=True)
-    judged = asked.cpu_max is not None
+    judged, beside = asked.cpu_max is not None, asked.beside
+    outcomes: list[Outcome] = []
     works_s = [fixed_work()] if judged else []
-    outcomes = run_first(first, asked.beside)
-    works_s += [fixed_work()] if judged else []
-    for name, command in pairs:
-        outcomes.append(run(name, command))
+    for pair in zip(asked.pairs[::2], asked.pairs[1::2], strict=True):
+        outcomes += run_with(pair, beside)
+        beside = []  # they are with the first
         works_s += [fixed_work()] if judged else []
     if asked.costs is not None and (rows := largest(asked.costs)):
         print("\n  the most CPU time", *rows, sep="\n")
