@@ -100,12 +100,12 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def run_with(command: Sequence[str], beside: Sequence[Sequence[str]]) -> list[Outcome]:
-    """A command, and those beside it, whose outcomes come first. Each: its name and itself."""
+def run_with(name: str, command: str, beside: Sequence[tuple[str, str]]) -> list[Outcome]:
+    """A command, and those beside it, each a name and a command, whose outcomes come first."""
     with ThreadPoolExecutor(1) as pool, TemporaryFile() as output:
         others = [pool.submit(run, *other, output) for other in beside]
         try:
-            found = run(*command)
+            found = run(name, command)
         except KeyboardInterrupt:
             pool.shutdown(cancel_futures=True)  # none begins any more
             raise
@@ -128,8 +128,8 @@ def main(arguments: Sequence[str]) -> int:
     judged, beside = asked.cpu_max is not None, asked.beside
     outcomes: list[Outcome] = []
     works_s = [fixed_work()] if judged else []
-    for pair in zip(asked.pairs[::2], asked.pairs[1::2], strict=True):
-        outcomes += run_with(pair, beside)
+    for name, command in zip(asked.pairs[::2], asked.pairs[1::2], strict=True):
+        outcomes += run_with(name, command, beside)
         beside = []  # they are with the first
         works_s += [fixed_work()] if judged else []
     if asked.costs is not None and (rows := largest(asked.costs)):
