@@ -3,8 +3,8 @@
 Each case is one fish, one reference and one or two causes, the first scaled so that the error of
 the fish's input (on its noise-free plant) is about 1.75 times what it was, a second at 0.4 of its
 own scale. Causes act from the first trial on; a fish changes after one healthy trial, and in rows
-of their own after four. Named: within three trials of the cause. Usage: causes.py [FISH FIRST_SEED
-[CAUSE[+CAUSE],...]]
+of their own after four. Named: within three trials of the cause; of a healthy fish in its first
+three, and in rows of their own after four. Usage: causes.py [FISH FIRST_SEED [CAUSE[+CAUSE],...]]
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ RAISED, RAISED_MIN = 1.75, 1.5  # times the healthy error: what is aimed at, wha
 SECOND = 0.4  # of its own scale
 DRAWS = 3  # of noise, for each error that is compared
 WITHIN = 3  # trials
-CHANGES_AFTER = (1, 4)  # healthy trials
+# Healthy trials before those in which causes are looked for.
+BEFORE, BEFORE_NONE, BEFORE_CHANGE = (0,), (0, 4), (1, 4)
 WORSE_MOST_M_S = 0.001
 BY_P_LAW = (C.MISSING, C.GAIN)  # what the model-based law does not know
 STEPS = 64  # of a scale
@@ -111,7 +112,7 @@ class Fish:
     top_rad: float = MOST_RAD
     repeat: int = 0
     trial: int = 0
-    healthy: int = CHANGES_AFTER[0]
+    healthy: int = BEFORE_CHANGE[0]
     _numbers: Iterator[int] = field(default_factory=lambda: count(1))
 
     def __post_init__(self) -> None:
@@ -320,6 +321,13 @@ def name_of(causes: tuple[Cause, ...]) -> str:
     return " + ".join(causes) or "none"
 
 
+def healthy_trials(causes: tuple[Cause, ...]) -> tuple[int, ...]:
+    """Of the rows with these causes."""
+    if not causes:
+        return BEFORE_NONE
+    return BEFORE_CHANGE if C.CHANGED in causes else BEFORE
+
+
 def outcome_of(job: tuple[str, int, str, tuple[Cause, ...], int]) -> Outcome:
     plant, seed, reference_name, causes, healthy = job
     case = Case(plant, seed, reference_name, causes)
@@ -343,7 +351,7 @@ def outcome_of(job: tuple[str, int, str, tuple[Cause, ...], int]) -> Outcome:
     wanted = case.causes[0] if case.causes else None
     said = wanted if wanted in named else named[0] if named else None
     raised = case.raised if case.causes else 1.0
-    late = f" after {healthy} trials" if healthy > CHANGES_AFTER[0] else ""
+    late = f" after {healthy} trials" if healthy > BEFORE_CHANGE[0] else ""
     key = case.plant, case.reference_name, name_of(case.causes) + late
     return Outcome(key, said or "none", raised, worse)
 
@@ -360,7 +368,7 @@ def main(load: Load = FULL, arguments: Sequence[str] = ()) -> int:
     print(f"{fish} fish each, seeds from {first} on; reached: the error was raised by half or more")
     rows: defaultdict[tuple[str, str, str], list[Outcome]] = defaultdict(list)
     with ProcessPoolExecutor(2) as pool:
-        jobs = [(p, s, r, c, n) for c in cases for n in (CHANGES_AFTER if C.CHANGED in c else (0,))
+        jobs = [(p, s, r, c, n) for c in cases for n in healthy_trials(c)
                 for p, r, s in product(load.plants, load.references, seeds)]  # fmt: skip
         for outcome in pool.map(outcome_of, jobs):
             row = rows[outcome.key]

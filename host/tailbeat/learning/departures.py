@@ -293,9 +293,7 @@ def _best(stack: _Stack, parts: _Parts, wanted_m_s: F64) -> int:
     """Of the trials that are judged, if there are any."""
     error = np.abs(wanted_m_s[stack.beat] - (stack.speed_m_s - parts.own))
     judged = [at for at, one in enumerate(stack.trials) if one.judged(wanted_m_s)]
-    return min(
-        judged or range(len(stack.trials)), key=lambda at: float(error[stack.trial == at].max())
-    )
+    return min(judged or range(len(stack.trials)), key=lambda at: error[stack.trial == at].max())
 
 
 def _by_beat(stack: _Stack, values: F64) -> F64:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,15 +36,26 @@ _TELLING_TRIALS = 3
 _TRIALS_MAX = 6  # the last ones are compared
 
 _SURELY_DISTURBED = 0.95  # then nobody can tell what a model misses, and a change must be as sure
-_ERROR_PART = 0.3  # of the last trial's largest error: departures that do less are not named
 
-# So many trials that show it are needed to name a departure, and its probability with so many, and
-# with more. One trial alone may be a disturbance as well as a misfit. As few as are needed tell
-# little: what must be surer at first is found by chance less often. bench/causes.py counts how
-# often all of this is right.
-_NEEDS: dict[Kind, tuple[int, float, float]] = {
-    "changed": (2, 0.7, 0.35), "misfit": (2, 0.7, 0.4), "disturbed": (3, 0.75, 0.75)
+
+class _Need(NamedTuple):
+    """What it takes to name a departure: so many trials that show it, its probability with so many,
+    and with more; and what it does, in parts of the last trial's largest error. One trial alone may
+    be a disturbance as well as a misfit."""
+
+    trials: int
+    at_first: float
+    later: float
+    error_part: float = 0.3
+
+
+_NEEDS: dict[Kind, _Need] = {
+    "changed": _Need(2, 0.7, 0.25), "misfit": _Need(2, 0.7, 0.4, error_part=0.5),
+    "disturbed": _Need(3, 0.5, 0.7),
 }  # fmt: skip
+# In a long series every trial is another occasion to be wrong: from so many compared trials on,
+# this probability is asked of all. bench/causes.py counts how often all of this is right.
+_LONG_TRIALS, _LONG = 5, 0.7
 
 
 class Cause(StrEnum):
@@ -189,9 +201,8 @@ def _gain(evidence: Evidence) -> CauseFound | None:
         return None
     share = evidence.max_abs_error_m_s * min(law.kp_rad_s_m / limit, 1.0)
     number = f"gain {law.kp_rad_s_m:.2f}; errors grow from {limit:.2f} on"
-    half = limit / 2
-    proposal = f"set the gain to {half:.2f} and go on from the best input"
-    return CauseFound(Cause.GAIN, share, number, "every beat", proposal, value=half)
+    proposal = f"set the gain to {limit / 2:.2f} and go on from the best input"
+    return CauseFound(Cause.GAIN, share, number, "every beat", proposal, value=limit / 2)
 
 
 def _departing(evidence: Evidence) -> CauseFound | None:
@@ -210,11 +221,11 @@ def _departing(evidence: Evidence) -> CauseFound | None:
 
 
 def _is_named(one: Departure, evidence: Evidence) -> bool:
-    trials, at_first, later = _NEEDS[one.kind]
-    shown_by = len(evidence.compared) - one.since
-    sure = one.chance >= (at_first if shown_by == trials else later)
-    least_m_s = max(SHARE_MIN_M_S, _ERROR_PART * evidence.max_abs_error_m_s)
-    return shown_by >= trials and sure and abs(one.effect_m_s) >= least_m_s
+    need, shown_by = _NEEDS[one.kind], len(evidence.compared) - one.since
+    wanted = need.at_first if shown_by == need.trials else need.later
+    chance = _LONG if len(evidence.compared) >= _LONG_TRIALS else wanted
+    least_m_s = max(SHARE_MIN_M_S, need.error_part * evidence.max_abs_error_m_s)
+    return shown_by >= need.trials and one.chance >= chance and abs(one.effect_m_s) >= least_m_s
 
 
 def _disturbance(evidence: Evidence, found: Departure) -> CauseFound:
@@ -246,9 +257,5 @@ _BY_KIND: dict[Kind, Callable[[Evidence, Departure], CauseFound]] = {
 }  # fmt: skip
 
 _DETECTORS: tuple[Callable[[Evidence], CauseFound | None], ...] = (
-    _saturation,
-    _infeasible,
-    _missing,
-    _gain,
-    _departing,
-)
+    _saturation, _infeasible, _missing, _gain, _departing
+)  # fmt: skip

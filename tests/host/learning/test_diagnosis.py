@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from scipy.signal import lfilter
 from tailbeat.core.arrays import F64
 from tailbeat.core.law import Law
 from tailbeat.core.reference import Reference, thesis
+from tailbeat.learning import diagnosis
 from tailbeat.learning.belief import believe
 from tailbeat.learning.departures import Departure, Kind, departures
 from tailbeat.learning.diagnosis import Cause, Evidence, diagnose
@@ -185,6 +187,16 @@ def test_thrust_lost_around_some_amplitudes_is_a_misfit() -> None:
     assert found["misfit"].chance > 0.9
     assert found["misfit"].effect_m_s == pytest.approx(lost[np.argmax(np.abs(lost))], rel=0.4)
     assert found["changed"].chance < 0.1 and found["disturbed"].chance < 0.1
+
+
+@pytest.mark.parametrize(("count", "named"), [(3, []), (4, [Cause.CHANGED]), (5, [])])
+def test_a_change_must_be_surer_at_first_and_in_a_long_series(
+    count: int, named: list[Cause], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    none = {kind: Departure(kind, 0.0, 0.0, 0, 0) for kind in get_args(Kind)}
+    halfway = none | {"changed": Departure("changed", 0.5, -0.02, 1, 0)}
+    monkeypatch.setattr(diagnosis, "departures", lambda *_: halfway)
+    assert causes(trials_of(FEASIBLE, count)) == named
 
 
 def test_beats_without_a_speed_tell_nothing_of_departures() -> None:
