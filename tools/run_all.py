@@ -5,8 +5,8 @@ COMMAND ...]. Every command goes to the shell. Those of --beside run one after t
 first command does, with what it leaves of the processors, and print at their end; the second
 command waits for them. The exit status is 1 when at least one failed, or when all together used
 more than S seconds of CPU time, told on a machine as quick as the one of the budget: a fixed piece
-of work, before, between and after the commands, says how quick this one was. CPU time is that of a
-command with all processes it waited for.
+of work, every few seconds while they run, says how quick this one is. CPU time is that of a command
+with all processes it waited for.
 
 With FILE, the commands add lines `<CPU seconds> <what>` to the file that TEST_COSTS names; the
 largest are printed.
@@ -19,9 +19,11 @@ import hashlib
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -29,8 +31,9 @@ from typing import IO
 
 COSTS_VARIABLE = "TEST_COSTS"
 LARGEST = 20
-# CPU time of ``fixed_work`` on the machine of the budgets.
-WORK_S = 0.3
+# CPU time of ``fixed_work`` on the machine of the budgets while the tests keep its cores busy, and how
+# long from one to the next.
+WORK_S, EVERY_S = 0.1, 5.0
 
 
 @dataclass(frozen=True)
@@ -62,14 +65,41 @@ def run(name: str, command: str, output: IO[bytes] | None = None) -> Outcome:
 
 def fixed_work() -> float:
     """CPU seconds of work that is always the same: half of it in Python, half in C."""
-    begin_s = time.process_time()
+    begin_s = time.thread_time()
     total = 0
-    for number in range(3_000_000):
+    for number in range(1_000_000):
         total += number * number % 7
     data = bytes(2**20)
-    for _ in range(250):
+    for _ in range(83):
         data = hashlib.sha256(data).digest() * 2**15
-    return time.process_time() - begin_s
+    return time.thread_time() - begin_s
+
+
+class Slowness:
+    """How many times as long as on the machine of the budgets work takes here while the commands
+    run: what else the processors are given to then counts, before and after it does not."""
+
+    def __init__(self) -> None:
+        self._works_s: list[float] = []
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._sample, daemon=True)
+
+    def __enter__(self) -> Slowness:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _sample(self) -> None:
+        while not self._over.is_set():
+            self._works_s.append(fixed_work())
+            self._over.wait(EVERY_S)
+
+    def times(self) -> float:
+        """The mean up to now."""
+        return sum(self._works_s) / len(self._works_s) / WORK_S
 
 
 def largest(costs: Path) -> list[str]:
@@ -79,10 +109,8 @@ def largest(costs: Path) -> list[str]:
     return [f"  {cpu_s:7.1f} s  {what}" for cpu_s, what in sorted(rows, reverse=True)[:LARGEST]]
 
 
-def over_budget(outcomes: Sequence[Outcome], works_s: Sequence[float], cpu_max_s: float) -> str:
-    """What was used beyond the budget; empty = nothing. ``works_s``: what the fixed work took on
-    the way."""
-    slower = sum(works_s) / len(works_s) / WORK_S
+def over_budget(outcomes: Sequence[Outcome], slower: float, cpu_max_s: float) -> str:
+    """What was used beyond the budget; empty = nothing."""
     used_s = sum(outcome.cpu_s for outcome in outcomes) / slower
     print(
         f"  {used_s:.0f} of {cpu_max_s:.0f} s of CPU time (this machine takes {slower:.2f} times)"
@@ -125,13 +153,12 @@ def main(arguments: Sequence[str]) -> int:
         asked.costs.parent.mkdir(parents=True, exist_ok=True)
         asked.costs.unlink(missing_ok=True)
         os.environ[COSTS_VARIABLE] = str(asked.costs.resolve())
-    judged, beside = asked.cpu_max is not None, asked.beside
+    beside, slowness = asked.beside, Slowness()
     outcomes: list[Outcome] = []
-    works_s = [fixed_work()] if judged else []
-    for name, command in zip(asked.pairs[::2], asked.pairs[1::2], strict=True):
-        outcomes += run_with(name, command, beside)
-        beside = []  # they are with the first
-        works_s += [fixed_work()] if judged else []
+    with slowness if asked.cpu_max is not None else nullcontext():
+        for name, command in zip(asked.pairs[::2], asked.pairs[1::2], strict=True):
+            outcomes += run_with(name, command, beside)
+            beside = []  # they are with the first
     if asked.costs is not None and (rows := largest(asked.costs)):
         print("\n  the most CPU time", *rows, sep="\n")
     print(f"\n  {'':24} {'wall':>9} {'CPU':>9}")
@@ -140,7 +167,9 @@ def main(arguments: Sequence[str]) -> int:
     failed = [outcome.name for outcome in outcomes if outcome.status != 0]
     if failed:
         print(f"FAILED: {len(failed)} of {len(outcomes)}: {', '.join(failed)}")
-    over = "" if not judged else over_budget(outcomes, works_s, asked.cpu_max)
+    over = ""
+    if asked.cpu_max is not None:
+        over = over_budget(outcomes, slowness.times(), asked.cpu_max)
     if over:
         print(f"FAILED: {over}")
     return 1 if failed or over else 0
