@@ -40,21 +40,19 @@ _SURELY_DISTURBED = 0.95  # then nobody can tell what a model misses, and a chan
 
 class _Need(NamedTuple):
     """What it takes to name a departure: so many trials that show it, its probability with so many,
-    and with more; and what it does, in parts of the last trial's largest error. One trial alone may
-    be a disturbance as well as a misfit."""
+    and with more. One trial alone may be a disturbance as well as a misfit."""
 
     trials: int
     at_first: float
     later: float
-    error_part: float = 0.3
 
 
 _NEEDS: dict[Kind, _Need] = {
-    "changed": _Need(2, 0.7, 0.25), "misfit": _Need(2, 0.7, 0.4, error_part=0.5),
-    "disturbed": _Need(3, 0.5, 0.7),
+    "changed": _Need(2, 0.85, 0.25), "misfit": _Need(2, 0.7, 0.4), "disturbed": _Need(3, 0.65, 0.7)
 }  # fmt: skip
+_ERROR_PART = 0.3  # of the last trial's largest error: what a departure must do
 # In a long series every trial is another occasion to be wrong: from so many compared trials on,
-# this probability is asked of all. bench/causes.py counts how often all of this is right.
+# at least this probability is asked of all. bench/causes.py counts how often all of this is right.
 _LONG_TRIALS, _LONG = 5, 0.7
 
 
@@ -223,8 +221,8 @@ def _departing(evidence: Evidence) -> CauseFound | None:
 def _is_named(one: Departure, evidence: Evidence) -> bool:
     need, shown_by = _NEEDS[one.kind], len(evidence.compared) - one.since
     wanted = need.at_first if shown_by == need.trials else need.later
-    chance = _LONG if len(evidence.compared) >= _LONG_TRIALS else wanted
-    least_m_s = max(SHARE_MIN_M_S, need.error_part * evidence.max_abs_error_m_s)
+    chance = max(wanted, _LONG if len(evidence.compared) >= _LONG_TRIALS else 0.0)
+    least_m_s = max(SHARE_MIN_M_S, _ERROR_PART * evidence.max_abs_error_m_s)
     return shown_by >= need.trials and one.chance >= chance and abs(one.effect_m_s) >= least_m_s
 
 
