@@ -19,9 +19,8 @@ PYTHON_SOURCES := $(wildcard docs/*.py docs/diagrams/*.py) host tests tools wire
 
 # Runs all that it is given, whatever fails, and sums up.
 RUN_ALL := $(BIN)/python tools/run_all.py
-# CPU seconds of all tests, their builds included, on the machine of the budget. They take 560 to 655 s; on
-# a machine that was slow by turns, which the fixed work timed between them shows only in part, up
-# to 1.4 times as long.
+# CPU seconds of all tests, their builds included, on the machine of the budget. They take 560 to 655 s
+# there; where two tests share one core's caches, up to a third more.
 TEST_CPU_MAX_S := 880
 
 # For what takes long on purpose: no limits of time (tests/conftest.py).
