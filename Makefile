@@ -28,7 +28,7 @@ UNLIMITED := -o faulthandler_timeout=0
 
 # Without what it has compiled kept, each process compiles all tests anew, for 15 s. One process more
 # than cores would take 5 % more: each collects all tests and makes its own fixtures.
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $$(nproc) --dist worksteal
+PYTEST := TMPDIR=$$(tools/memory_folder) PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $$(nproc) --dist worksteal
 
 .PHONY: help demo test image qemu soak bench firmware sbom flash size check docs dist clean lock bootstrap package \
 	unit trial_log host_tests coverage toolchain fuzz bench_programs conformance_programs smartfusion2
