@@ -49,18 +49,10 @@ def test_more_than_the_budget_fails_where_it_can_be_judged(slow: float, status: 
         f"import run_all; run_all.fixed_work = lambda: {slow} * run_all.WORK_S;"
         f"raise SystemExit(run_all.main(['--cpu-max', '0.001', 'tier', '{spins}']))"
     )
-    run = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=ROOT / "tools",
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = [sys.executable, "-c", code]
+    run = subprocess.run(command, cwd=ROOT / "tools", capture_output=True, text=True, check=False)
     assert run.returncode == status
-    assert ("FAILED: " in run.stdout, "too slow to judge" in run.stdout) == (
-        status == 1,
-        status == 0,
-    )
+    assert ("too slow to judge" in run.stdout) == (status == 0)
 
 
 def test_what_runs_beside_the_first_ends_before_the_second(tmp_path: Path) -> None:
