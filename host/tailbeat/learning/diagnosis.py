@@ -221,9 +221,10 @@ def _departing(evidence: Evidence) -> CauseFound | None:
 def _is_named(one: Departure, evidence: Evidence) -> bool:
     need, shown_by = _NEEDS[one.kind], len(evidence.compared) - one.since
     wanted = need.at_first if shown_by == need.trials else need.later
-    chance = max(wanted, _LONG if len(evidence.compared) >= _LONG_TRIALS else 0.0)
+    if len(evidence.compared) >= _LONG_TRIALS:
+        wanted = max(wanted, _LONG)
     least_m_s = max(SHARE_MIN_M_S, _ERROR_PART * evidence.max_abs_error_m_s)
-    return shown_by >= need.trials and one.chance >= chance and abs(one.effect_m_s) >= least_m_s
+    return shown_by >= need.trials and one.chance >= wanted and abs(one.effect_m_s) >= least_m_s
 
 
 def _disturbance(evidence: Evidence, found: Departure) -> CauseFound:
