@@ -34,6 +34,7 @@ def _stop(_: int, __: FrameType | None) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    gc.disable()  # while tests are collected, nothing becomes garbage
     os.fsync = lambda fd: None  # no test's files need to outlast the machine; waiting took 8 %
     signal.signal(signal.SIGPROF, _stop)
     guard_s = float(config.getini("faulthandler_timeout"))
@@ -44,6 +45,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_finish() -> None:
     """Most of what there is now stays to the end: looked through for garbage seldom."""
     gc.set_threshold(50_000, 20, 50)
+    gc.enable()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -2,8 +2,7 @@
 
 Usage: run_all.py [--costs FILE] [--cpu-max S] [--beside NAME COMMAND ...] NAME COMMAND [NAME
 COMMAND ...]. Every command goes to the shell. Those of --beside run one after the other while the
-first command does, with what it leaves of the processors, and print at their end; the second
-command waits for them. The exit status is 1 when at least one failed, or when all together used
+last command does, with what it leaves of the processors, and print at their end. The exit status is 1 when at least one failed, or when all together used
 more than S seconds of CPU time, told on a machine as quick as the one of the budget: a fixed piece
 of work, every few seconds while they run, says how quick this one is. One that is much slower is
 allowed a third more: it slows some work more than other. CPU time is that of a command with all
@@ -152,13 +151,13 @@ def main(arguments: Sequence[str]) -> int:
         asked.costs.parent.mkdir(parents=True, exist_ok=True)
         asked.costs.unlink(missing_ok=True)
         os.environ[COSTS_VARIABLE] = str(asked.costs.resolve())
-    judged, beside = asked.cpu_max is not None, asked.beside
+    judged = asked.cpu_max is not None
     outcomes: list[Outcome] = []
     timed: AbstractContextManager[list[float]] = timed_works() if judged else nullcontext([])
     with timed as works_s:
-        for name, command in zip(asked.pairs[::2], asked.pairs[1::2], strict=True):
-            outcomes += run_with(name, command, beside)
-            beside = []  # they are with the first
+        *first, last = zip(asked.pairs[::2], asked.pairs[1::2], strict=True)
+        outcomes += [run(*command) for command in first]
+        outcomes += run_with(*last, asked.beside)
     if asked.costs is not None and (rows := largest(asked.costs)):
         print("\n  the most CPU time", *rows, sep="\n")
     print(f"\n  {'':24} {'wall':>9} {'CPU':>9}")

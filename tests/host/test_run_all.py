@@ -59,15 +59,15 @@ def test_more_than_the_budget_of_60_s_fails(slow: float, used_s: float, over: bo
     assert ("s of CPU time, at most" in run.stdout) == over
 
 
-def test_what_runs_beside_the_first_ends_before_the_second(tmp_path: Path) -> None:
+def test_what_runs_beside_the_last_begins_after_the_first(tmp_path: Path) -> None:
     met = tmp_path / "met"
-    waits = f"until [ -e {met} ]; do sleep 0.01; done; echo front"
+    waits = f"until [ -e {met} ]; do sleep 0.01; done; echo last"
     run = run_all(
         "--beside", "aside", f"touch {met}; nice; echo asides >&2; exit 3",
-        "--beside", "more", "echo more", "first", waits, "second", f"rm {met} && echo second",
+        "--beside", "more", "echo more", "first", f"[ ! -e {met} ] && echo first", "last", waits,
     )  # fmt: skip
     assert run.returncode == 1 and "FAILED: 1 of 4: aside" in run.stdout
-    assert run.stdout.split()[:5] == ["front", str(os.nice(0) + 10), "asides", "more", "second"]
+    assert run.stdout.split()[:5] == ["first", "last", str(os.nice(0) + 10), "asides", "more"]
 
 
 def test_integration_runs_both_and_fails_when_either_does(tmp_path: Path) -> None:
