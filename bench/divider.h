@@ -2,7 +2,7 @@
 #ifndef BENCH_DIVIDER_H
 #define BENCH_DIVIDER_H
 
-/* Seconds of processor time for two quotients and a root, by vector register, over its lanes: a
+/* Seconds of processor time for a quotient and a root, by vector register, over its lanes: a
  * substep of one fish. */
 double divider_substep_s(void);
 

@@ -103,7 +103,7 @@ def swims(load: Load) -> dict[str, float]:
 
 
 def divider_trials_per_s() -> float:
-    """No batch is faster: a substep has two quotients and a root, for which the processor's divider
+    """No batch is faster: a substep has a quotient and a root, for which the processor's divider
     takes its time, at best with full vector registers."""
     run = subprocess.run([PROGRAM, "divider"], capture_output=True, text=True, check=True)
     return 1e9 / (float(run.stdout.split()[0]) * SUBSTEPS * BEATS)
@@ -179,7 +179,7 @@ def main(load: Load = FULL) -> int:
     limit = divider_trials_per_s() / found["numpy"]
     print(
         f"one core, {load.fish} fish at a time: {found['batch']:.0f} trials/s side by side in C,"
-        f" {found['numpy']:.0f} in numpy: {ratio:.1f} x (goal {GOAL:.0f} x; limit, by two quotients"
+        f" {found['numpy']:.0f} in numpy: {ratio:.1f} x (goal {GOAL:.0f} x; limit, by a quotient"
         f" and a root per substep: {limit:.0f} x, {limit / ratio:.1f} x of this)"
     )
     recipe = board_recipe(load)

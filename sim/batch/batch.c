@@ -15,7 +15,9 @@
 #define EXPOSURE_PHASE 0.33
 #define COVERAGE_MIN 0.6
 #define FRAME_US 20000u
-#define ALONE_MAX 2u /* so many fish are faster one after the other than in a block */
+#define RIPPLE_MAX 2.0
+#define ROUNDING 1e-6 /* more than that of all that has been computed */
+#define ALONE_MAX 2u  /* so many fish are faster one after the other than in a block */
 
 static const double still[SUBSTEPS] = {1, 1, 1, 1};
 
@@ -72,21 +74,25 @@ static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_
     rows->flow_m_s[l] = block->drawn[l].flow_m_s;
     block->moved_m[l] = 0;
     block->moves = block->moves || block->drawn[l].moves;
-    rows->kappa_per_m[l] = c->kappa_per_m;
-    rows->slope[l] = gain * c->slope_m_s_rad;
-    rows->bend[l] = gain * c->map_bend_m_s_rad2;
-    rows->dead_zone_rad[l] = c->dead_zone_rad;
+    rows->kt[l] = c->kappa_per_m * h;
+    rows->twice_kt[l] = 2 * rows->kt[l];
+    rows->kt_fifteenth[l] = rows->kt[l] * (1.0 / 15.0);
+    rows->dt_twelfth[l] = h * rows->kt[l] * (1.0 / 12.0);
+    rows->half_slope[l] = 0.5 * (gain * c->slope_m_s_rad);
+    rows->quarter_bend[l] = 0.25 * (gain * c->map_bend_m_s_rad2);
+    rows->twice_dead_zone_rad[l] = 2 * c->dead_zone_rad;
     rows->delay_steps[l] = tank_delay(c->delay_s, &rows->delay_fraction[l]);
-    rows->lag_s[l] = c->servo_lag_s;
-    rows->keep[l] = c->servo_lag_s > 0 ? exp(-h / c->servo_lag_s) : 0;
+    rows->settle[l] = c->servo_lag_s > 0 ? 1 - exp(-h / c->servo_lag_s) : 1;
+    rows->ahead_frames[l] = 1.0 / SUBSTEPS / rows->settle[l] - c->servo_lag_s / rows->frame_s;
     rows->most_rad[l] = c->servo_rate_rad_s > 0 ? c->servo_rate_rad_s * h : 1e9;
     rows->servo_rad[l] = rows->late[l] = rows->way_m[l] = rows->base_m[l] = 0;
-    rows->z2_most[l] = rows->vkt_most[l] = 0;
+    rows->late_most[l] = rows->v_m_s[l] * rows->v_m_s[l] / RIPPLE_MAX;
     rows->ahead[l] = cos(block->drawn[l].place_rad);
     rows->swayed_m[0][l] = rows->swayed_m[1][l] = 0;
     rows->sway_m_per_rad[l] =
         c->plant == SIM_PLANT_REACTIVE ? 0 : SWAY_M_PER_RAD * sin(block->drawn[l].place_rad);
     rows->sways = rows->sways || c->place_sigma_rad > 0;
+    rows->bends = rows->bends || fabs(rows->quarter_bend[l]) > 0;
 }
 
 static void set_camera(batch_block_t *rows, unsigned l, const sim_config_t *c, uint32_t swim) {
@@ -147,7 +153,7 @@ static void begin(block_t *block) {
     rows->has_servo = has_servo(&task->configs[block->first]);
     rows->lossy = false;
     rows->step = 0;
-    block->moves = rows->sways = false;
+    block->moves = rows->sways = rows->bends = false;
     for (unsigned l = 0; l < BATCH_LANES; l++) {
         const size_t fish = fish_of(block, l);
         set_water(block, l, &task->configs[fish], task->swims[fish]);
@@ -178,7 +184,7 @@ static void frame_alone(block_t *block, bool limp) {
     batch_block_t *rows = &block->rows;
     plant_t *plant = &block->plant;
     const double dt = rows->frame_s / SUBSTEPS;
-    drive_t drive = {{0, 0, 0, 0}, {1, 1, 1, 1}, {0, 0}};
+    drive_t drive = {{0, 0, 0, 0}, {1, 1, 1, 1}, {1, 1, 1, 1}, {0, 0}};
     if (!limp || block->tail.has_servo) {
         tail_frame_sine(&block->tail, rows->amplitude_rad[0], rows->frame_s, &drive);
     }
@@ -192,8 +198,7 @@ static void frame_alone(block_t *block, bool limp) {
         double *v = &rows->v_m_s[0];
         rows->way_m[0] +=
             plant->kind == SIM_PLANT_TANK
-                ? tank_step(&plant->tank, v, drive.amplitude_rad[i], drive.ripple[i], plant->gain,
-                            dt)
+                ? tank_step(&plant->tank, v, &drive, i, plant->gain, dt)
                 : thesis_step(&plant->thesis, v, drive.amplitude_rad[i], plant->gain, dt);
         rows->trace_v_m_s[i + 1][0] = *v;
         rows->trace_way_m[i + 1][0] = rows->way_m[0];
@@ -223,15 +228,15 @@ static void open_window(block_t *block, uint64_t beat, double time_s) {
 
 static void take_picture(block_t *block, uint64_t time_us) {
     const uint64_t beat_us = (uint64_t)block->task->tail->frames_per_beat * FRAME_US;
+    const uint64_t beat = time_us / beat_us;
     const double part = (double)(time_us % FRAME_US) / FRAME_US * SUBSTEPS;
     const batch_picture_t picture = {
         .sample = block->picture,
         .time_s = (double)time_us * 1e-6,
-        .in_beat_s = (double)(time_us % beat_us) * 1e-6,
+        .in_beat_s = (double)(time_us - beat * beat_us) * 1e-6,
         .substep = (unsigned)part,
         .part = part - (unsigned)part,
     };
-    const uint64_t beat = time_us / beat_us;
     batch_window_t *window = block->rows.window;
     if (beat >= block->next_beat && beat < block->task->beats) {
         open_window(block, beat, picture.time_s);
@@ -280,10 +285,20 @@ static void sway_alone(block_t *block, double sine) {
     rows->swayed_m[1][0] = rows->sway_m_per_rad[0] * tail_rad;
 }
 
+/* The points of this frame, as bits, that somebody looks at. */
+static uint32_t points_seen(const block_t *block) {
+    const uint64_t into_us = block->picture_us - block->frame * FRAME_US;
+    const bool seen = into_us < FRAME_US;
+    if (block->moves || (seen && block->fps >= 1e6 / FRAME_US)) {
+        return (1u << (SUBSTEPS + 1)) - 1;
+    }
+    return seen ? 3u << into_us / (FRAME_US / SUBSTEPS) : 0;
+}
+
 static void swim_frame(block_t *block, uint32_t frame, bool limp) {
     const tail_t *tail = block->task->tail;
     const double *sine = tail->sine + frame;
-    block->rows.traced = block->moves || block->picture_us < (block->frame + 1) * FRAME_US;
+    block->rows.traced = points_seen(block);
     if (block->alone) {
         frame_alone(block, limp);
         sway_alone(block, sine[1]);
@@ -373,6 +388,13 @@ static bool alike(const sim_config_t *a, const sim_config_t *b) {
            a->camera_fps <= b->camera_fps;
 }
 
+/* Whether drag_step took its fraction in every step of lane |l|. The fish was never faster than at
+ * its begin, or than it would have settled at: one limit holds for its speed and for its thrust. */
+static bool all_in_fraction(const batch_block_t *rows, unsigned l) {
+    return RIPPLE_MAX * rows->late_most[l] * rows->kt[l] * rows->kt[l] <
+           (1 - ROUNDING) * fmin(DRAG_FRACTION_Z2, DRAG_FRACTION_VKT * DRAG_FRACTION_VKT);
+}
+
 /* Returns how many fish it took. */
 static size_t swim_some(block_t *block, size_t first, size_t fish) {
     const task_t *task = block->task;
@@ -390,9 +412,7 @@ static size_t swim_some(block_t *block, size_t first, size_t fish) {
     swim_block(block);
     uint64_t wrong = 0;
     for (unsigned l = 0; l < count; l++) {
-        const bool right =
-            block->rows.z2_most[l] < DRAG_SERIES_Z2 && block->rows.vkt_most[l] < DRAG_SERIES_VKT;
-        wrong |= right ? 0 : (uint64_t)1 << l;
+        wrong |= all_in_fraction(&block->rows, l) ? 0 : (uint64_t)1 << l;
     }
     for (unsigned l = 0; l < count; l++) {
         if ((wrong >> l & 1u) != 0) {

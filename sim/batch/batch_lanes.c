@@ -8,34 +8,49 @@
 #include <immintrin.h>
 #endif
 
-#define STILL_RAD 1e-6
+#define TWICE_STILL_2 4e-12 /* twice the STILL_RAD of tail.c, squared */
 #define MISSING_MAX 5.0
 #define SIGMA_MIN_M_S 1e-5
 
 #define EACH_LANE(l) for (unsigned l = 0; l < BATCH_LANES; l++)
 #define INLINE static inline __attribute__((always_inline))
 
-/* Of the ring, for the substeps of a frame. |late| when all lanes have the same delay. */
+/* The thrust that works in the substeps of a frame. */
 typedef struct {
-    double *now[SUBSTEPS];
-    const double *late[SUBSTEPS];
-} strip_rows_t;
+    const double *row[SUBSTEPS];
+    batch_row_t gathered[SUBSTEPS]; /* of lanes with delays of their own */
+} late_rows_t;
 
-static strip_rows_t strip_rows(const batch_block_t *b) {
-    strip_rows_t rows;
+static const double *thrust_row(const batch_block_t *b, unsigned i, uint64_t delay_steps) {
+    return b->thrust[(b->step + i - delay_steps) & b->ring_mask];
+}
+
+static void find_late(const batch_block_t *b, late_rows_t *late) {
     for (unsigned i = 0; i < SUBSTEPS; i++) {
-        rows.now[i] = b->thrust[(b->step + i) & b->ring_mask];
-        rows.late[i] = b->thrust[(b->step + i - b->delay_steps[0]) & b->ring_mask];
+        late->row[i] = thrust_row(b, i, b->delay_steps[0]);
+        if (!b->same_delay) {
+            EACH_LANE(l) { late->gathered[i][l] = thrust_row(b, i, b->delay_steps[l])[l]; }
+            late->row[i] = late->gathered[i];
+        }
     }
-    return rows;
+}
+
+/* One that no lane misses. */
+INLINE void count_picture(batch_window_t *w, double t) {
+    if (w->open) {
+        w->all_n += 1;
+        w->all_st += t;
+        w->all_stt += t * t;
+    }
 }
 
 INLINE void fit_on(batch_block_t *b, const batch_window_t *w) {
     const double least = b->pictures_min;
     EACH_LANE(l) {
-        const double n = w->n[l];
-        const double vtt = w->stt[l] - w->st[l] * w->st[l] / n;
-        const double vtx = w->stx[l] - w->st[l] * w->sx[l] / n;
+        const double n = w->all_n + w->n[l];
+        const double st = w->all_st + w->st[l];
+        const double vtt = w->all_stt + w->stt[l] - st * st / n;
+        const double vtx = w->stx[l] - st * w->sx[l] / n;
         const double speed = vtx / vtt;
         const double rest = w->sxx[l] - w->sx[l] * w->sx[l] / n - speed * vtx;
         const double sigma = sqrt((rest > 0 ? rest : 0) / (n - 2) / vtt);
@@ -48,11 +63,14 @@ INLINE void fit_on(batch_block_t *b, const batch_window_t *w) {
 
 #if defined(__x86_64__)
 
-/* MIN(a, b) is a < b ? a : b, MAX(a, b) is a > b ? a : b, as C has it. */
+/* MIN(a, b) is a < b ? a : b, MAX(a, b) is a > b ? a : b, as C has it; ABOVE(a, b, x, y) is
+ * a > b ? x : y. */
 #define STRIP_LABEL plain
 #define STRIP_TEXT "plain"
 #define STRIP_TARGET
 #define STRIP_WIDTH 2
+#define STRIP_ABOVE(a, b, x, y) OF(choice)((BITS)((a) > (b)), x, y)
+#define STRIP_ONES(bits) OF(ones)(bits)
 #define STRIP_SQRT(a) ((VEC)_mm_sqrt_pd((__m128d)(a)))
 #define STRIP_MIN(a, b) ((VEC)_mm_min_pd((__m128d)(a), (__m128d)(b)))
 #define STRIP_MAX(a, b) ((VEC)_mm_max_pd((__m128d)(a), (__m128d)(b)))
@@ -62,6 +80,9 @@ INLINE void fit_on(batch_block_t *b, const batch_window_t *w) {
 #define STRIP_TEXT "avx2"
 #define STRIP_TARGET __attribute__((target("avx2")))
 #define STRIP_WIDTH 4
+#define STRIP_ABOVE(a, b, x, y)                                                                    \
+    ((VEC)_mm256_blendv_pd((__m256d)(y), (__m256d)(x), (__m256d)((a) > (b))))
+#define STRIP_ONES(bits) OF(ones)(bits)
 #define STRIP_SQRT(a) ((VEC)_mm256_sqrt_pd((__m256d)(a)))
 #define STRIP_MIN(a, b) ((VEC)_mm256_min_pd((__m256d)(a), (__m256d)(b)))
 #define STRIP_MAX(a, b) ((VEC)_mm256_max_pd((__m256d)(a), (__m256d)(b)))
@@ -69,8 +90,12 @@ INLINE void fit_on(batch_block_t *b, const batch_window_t *w) {
 
 #define STRIP_LABEL avx512
 #define STRIP_TEXT "avx512"
-#define STRIP_TARGET __attribute__((target("avx512f,avx512dq,avx512vl")))
+#define STRIP_TARGET __attribute__((target("avx512f,avx512dq,avx512vl,avx512vpopcntdq")))
 #define STRIP_WIDTH 8
+#define STRIP_ABOVE(a, b, x, y)                                                                    \
+    ((VEC)_mm512_mask_blend_pd(_mm512_cmp_pd_mask((__m512d)(a), (__m512d)(b), _CMP_GT_OQ),         \
+                               (__m512d)(y), (__m512d)(x)))
+#define STRIP_ONES(bits) ((BITS)_mm512_popcnt_epi64((__m512i)(bits)))
 #define STRIP_SQRT(a) ((VEC)_mm512_sqrt_pd((__m512d)(a)))
 #define STRIP_MIN(a, b) ((VEC)_mm512_min_pd((__m512d)(a), (__m512d)(b)))
 #define STRIP_MAX(a, b) ((VEC)_mm512_max_pd((__m512d)(a), (__m512d)(b)))
@@ -78,7 +103,7 @@ INLINE void fit_on(batch_block_t *b, const batch_window_t *w) {
 
 static bool has_avx512(void) {
     return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-           __builtin_cpu_supports("avx512vl");
+           __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512vpopcntdq");
 }
 
 const batch_lanes_t *batch_lanes(size_t index) {
@@ -95,6 +120,8 @@ const batch_lanes_t *batch_lanes(size_t index) {
 #define STRIP_TEXT "plain"
 #define STRIP_TARGET
 #define STRIP_WIDTH 2
+#define STRIP_ABOVE(a, b, x, y) OF(choice)((BITS)((a) > (b)), x, y)
+#define STRIP_ONES(bits) OF(ones)(bits)
 #define STRIP_SQRT(a) ((VEC){sqrt((a)[0]), sqrt((a)[1])})
 #define STRIP_MIN(a, b) OF(choice)((BITS)((a) < (b)), a, b)
 #define STRIP_MAX(a, b) OF(choice)((BITS)((a) > (b)), a, b)

@@ -18,10 +18,11 @@ typedef uint64_t batch_keys_t[BATCH_LANES] __attribute__((aligned(64)));
 typedef struct {
     bool open;
     uint64_t beat;
-    uint32_t taken;         /* pictures that should be there */
-    double begin_s;         /* first picture */
-    batch_row_t offset_m;   /* positions count from here */
-    batch_row_t n, st, stt; /* about the middle of the window; pictures that are there */
+    uint32_t taken;                /* pictures that should be there */
+    double begin_s;                /* first picture */
+    double all_n, all_st, all_stt; /* as the rows below, of pictures that no lane misses */
+    batch_row_t offset_m;          /* positions count from here */
+    batch_row_t n, st, stt;        /* about the middle of the window; pictures that are there */
     batch_row_t sx, stx, sxx;
     batch_row_t missing, missing_max; /* in a row */
 } batch_window_t;
@@ -32,20 +33,23 @@ typedef struct {
     double frame_s, omega_rad_s;
     bool has_servo, lossy;
     bool same_delay, whole_delay; /* of all lanes; in substeps, of each */
-    bool traced;                  /* somebody looks at this frame: fill trace_... */
+    uint32_t traced;              /* bits: the points of this frame for which trace_... is filled */
     bool sways;                   /* the head of any lane, along the tank */
+    bool bends;                   /* the map of any lane */
     uint64_t ring_mask, step;
     double half_window_s;
     uint32_t pictures_per_window, pictures_min;
     /* water and tail */
     batch_row_t amplitude_rad; /* of the present beat */
     batch_row_t v_m_s, servo_rad, late;
-    batch_row_t kappa_per_m, slope, bend, dead_zone_rad, delay_fraction; /* gain in slope, bend */
-    batch_row_t lag_s, keep, most_rad; /* servo: 1 - keep of the lag is made up in a substep */
+    batch_row_t over_kt[SUBSTEPS], under[SUBSTEPS]; /* of the present frame; a scale is left out */
+    batch_row_t half_slope, quarter_bend, twice_dead_zone_rad; /* of tank_thrust, times the gain */
+    batch_row_t kt, twice_kt, kt_fifteenth, dt_twelfth;                  /* of drag_fraction */
+    batch_row_t delay_fraction;
+    batch_row_t ahead_frames, settle, most_rad; /* of servo_frame */
     batch_keys_t delay_steps;
-    batch_row_t z2_most, vkt_most; /* see drag_step.h: beyond its series the lane is wrong */
-    batch_row_t way_m;             /* over water since the beat began */
-    batch_row_t ripple[SUBSTEPS];  /* of the present frame */
+    batch_row_t late_most; /* thrust; beyond the fraction of drag_step.h the lane is wrong */
+    batch_row_t way_m;     /* over water since the beat began */
     batch_row_t trace_v_m_s[SUBSTEPS + 1], trace_way_m[SUBSTEPS + 1];
     /* camera */
     batch_row_t flow_m_s, base_m; /* position at the beat's begin */

@@ -1,8 +1,9 @@
 /*
  * The frames and pictures of batch_lanes.c for one set of instructions: STRIP_TARGET, with vectors
- * of STRIP_WIDTH doubles and STRIP_SQRT, STRIP_MIN, STRIP_MAX of them. A strip of lanes goes
- * through a whole frame within registers. Every value is computed by the same operations in the
- * same order as for one fish: only what no lane needs is left out.
+ * of STRIP_WIDTH doubles and STRIP_SQRT, STRIP_MIN, STRIP_MAX, STRIP_ABOVE, STRIP_ONES of them. The
+ * tails of some strips of lanes, and then their water, go through a frame within registers. Every
+ * value has the bits that it has for one fish: only what no lane needs is left out, and scales by
+ * powers of two.
  *
  * Included once for each set, hence no guard.
  */
@@ -21,7 +22,10 @@ typedef uint64_t OF(bits_t)
 #define AT(row) (*(VEC *)&(row)[l])
 #define LOOK(row) (*(const VEC *)&(row)[l])
 #define LOOK_BITS(row) (*(const BITS *)&(row)[l])
-#define STRIPS 2
+/* So many beside each other that none waits for its own roots and quotients. */
+#define TAIL_STRIPS 4
+#define WATER_STRIPS 2
+#define EACH_BESIDE(l, strips) for (unsigned p = 0, l = first; p < (strips); p++, l += STRIP_WIDTH)
 #define EACH_STRIP(l) for (unsigned l = 0; l < BATCH_LANES; l += STRIP_WIDTH)
 
 /* Where |first|, |a|, elsewhere |b|. */
@@ -29,198 +33,196 @@ STRIP_INLINE VEC OF(choice)(BITS first, VEC a, VEC b) {
     return (VEC)(((BITS)a & first) | ((BITS)b & ~first));
 }
 
-/* What a frame of a strip is computed with, and from substep to substep. */
+/* From substep to substep. */
 typedef struct {
-    VEC begin, moves, lags, most, settle; /* servo */
-    VEC dead_zone, slope, bend;
-    VEC servo, ripple, thrust, square;
+    VEC move, most, settle;
+    VEC target, servo;
 } OF(tail_t);
 
 typedef struct {
-    VEC kt, delay_fraction;
-    VEC v, vv, way, late, z2_most, vkt_most;
+    VEC kt, kt_fifteenth, dt_twelfth, delay_fraction;
+    VEC v, way, late, late_most;
 } OF(water_t);
 
-STRIP_INLINE VEC OF(thrust)(const OF(tail_t) * tail, VEC amplitude) {
+/* tank_thrust of |twice| the amplitude; without a bend, it is never negative. */
+STRIP_INLINE VEC OF(thrust)(const batch_block_t *b, unsigned l, VEC twice, bool bends) {
     const VEC none = {0};
-    const VEC beyond = STRIP_MAX(amplitude - tail->dead_zone, none);
-    const VEC vss = STRIP_MAX(tail->slope * beyond + tail->bend * beyond * beyond, none);
+    const VEC beyond = STRIP_MAX(twice - LOOK(b->twice_dead_zone_rad), none);
+    VEC vss = LOOK(b->half_slope) * beyond;
+    if (bends) {
+        vss = STRIP_MAX((LOOK(b->half_slope) + LOOK(b->quarter_bend) * beyond) * beyond, none);
+    }
     return vss * vss;
 }
 
-/* servo_frame of tail.c, a substep of it, in two halves: a root takes long. */
-STRIP_INLINE void OF(servo_moves)(OF(tail_t) * tail, double to_amplitude, double steps) {
-    const VEC behind = tail->begin + tail->moves * steps - tail->lags;
-    VEC moved = tail->settle * (behind - tail->servo) + tail->moves;
+/* servo_frame of tail.c: the begin, and one substep. */
+STRIP_INLINE void OF(begin_tail)(OF(tail_t) * tail, const batch_block_t *b, unsigned l, double sine,
+                                 double next_sine) {
+    const VEC begin = LOOK(b->amplitude_rad) * sine;
+    const VEC rise = LOOK(b->amplitude_rad) * next_sine - begin;
+    tail->move = rise * (1.0 / SUBSTEPS);
+    tail->most = LOOK(b->most_rad);
+    tail->settle = LOOK(b->settle);
+    tail->servo = LOOK(b->servo_rad);
+    tail->target = begin + rise * LOOK(b->ahead_frames);
+}
+
+/* Returns twice the amplitude. */
+STRIP_INLINE VEC OF(tail_step)(OF(tail_t) * tail, double to_amplitude, batch_block_t *b, unsigned i,
+                               unsigned l) {
+    VEC moved = tail->settle * (tail->target - tail->servo);
     moved = STRIP_MIN(tail->most, moved);
     moved = STRIP_MAX(-tail->most, moved);
-    const VEC middle = tail->servo + 0.5 * moved;
+    const VEC next = tail->servo + moved;
+    const VEC middle = tail->servo + next;
     const VEC cosine = moved * to_amplitude;
-    tail->square = middle * middle + cosine * cosine;
-    tail->ripple = 2 * cosine * cosine / tail->square;
-    tail->thrust = STRIP_SQRT(tail->square);
-    tail->servo += moved;
+    const VEC square = middle * middle + cosine * cosine;
+    const VEC one = 1.0 - (VEC){0}, still = TWICE_STILL_2 - (VEC){0};
+    AT(b->over_kt[i]) = STRIP_ABOVE(square, still, cosine * cosine, 0.5 * one) * LOOK(b->twice_kt);
+    AT(b->under[i]) = STRIP_ABOVE(square, still, square, one);
+    tail->target += tail->move;
+    tail->servo = next;
+    return STRIP_ABOVE(square, still, STRIP_SQRT(square), (VEC){0});
 }
 
-STRIP_INLINE void OF(servo_pushes)(OF(tail_t) * tail) {
-    const BITS swings = (BITS)(tail->square > STILL_RAD * STILL_RAD);
-    tail->ripple = OF(choice)(swings, tail->ripple, 1.0 - (VEC){0});
-    tail->thrust = OF(thrust)(tail, tail->thrust);
-}
-
-STRIP_INLINE void OF(begin_servo)(OF(tail_t) * tail, const batch_block_t *b, unsigned l,
-                                  double sine, double next_sine) {
-    const double h = b->frame_s / SUBSTEPS;
-    const VEC begin = LOOK(b->amplitude_rad) * sine;
-    const VEC slope = (LOOK(b->amplitude_rad) * next_sine - begin) / b->frame_s;
-    tail->begin = begin;
-    tail->moves = slope * h;
-    tail->lags = slope * LOOK(b->lag_s);
-    tail->most = LOOK(b->most_rad);
-    tail->settle = 1 - LOOK(b->keep);
-    tail->servo = LOOK(b->servo_rad);
-}
-
-/* The thrust that a substep gets, of |rows| or, when every lane has a delay of its own, of the
- * ring. */
-STRIP_INLINE VEC OF(delayed)(const batch_block_t *b, const strip_rows_t *rows, unsigned i,
-                             unsigned l) {
-    if (b->same_delay) {
-        return LOOK(rows->late[i]);
+/* |bends|, and what else the code of a frame is told below, is known where it is compiled. */
+STRIP_INLINE void OF(servo_frame)(batch_block_t *b, double sine, double next_sine, bool bends) {
+    const double to_amplitude = 2 / (b->frame_s / SUBSTEPS * b->omega_rad_s);
+    for (unsigned first = 0; first < BATCH_LANES; first += TAIL_STRIPS * STRIP_WIDTH) {
+        OF(tail_t) tail[TAIL_STRIPS];
+        EACH_BESIDE(l, TAIL_STRIPS) { OF(begin_tail)(&tail[p], b, l, sine, next_sine); }
+#pragma GCC unroll 4 /* SUBSTEPS */
+        for (unsigned i = 0; i < SUBSTEPS; i++) {
+            double *now = b->thrust[(b->step + i) & b->ring_mask];
+            EACH_BESIDE(l, TAIL_STRIPS) {
+                const VEC twice = OF(tail_step)(&tail[p], to_amplitude, b, i, l);
+                AT(now) = OF(thrust)(b, l, twice, bends);
+            }
+        }
+        EACH_BESIDE(l, TAIL_STRIPS) { AT(b->servo_rad) = tail[p].servo; }
     }
-    VEC late = {0};
-    for (unsigned lane = 0; lane < STRIP_WIDTH; lane++) {
-        const uint64_t step = b->step + i - b->delay_steps[l + lane];
-        late[lane] = b->thrust[step & b->ring_mask][l + lane];
-    }
-    return late;
 }
 
-/* tank_step with drag_series; the thrust one substep earlier still is the one read before. */
-STRIP_INLINE void OF(water_step)(OF(water_t) * water, VEC late, bool whole, VEC ripple, double dt) {
+/* Without a servo. */
+STRIP_INLINE void OF(table_frame)(batch_block_t *b, const double ripple[SUBSTEPS]) {
+    EACH_STRIP(l) {
+        const VEC thrust = OF(thrust)(b, l, 2 * LOOK(b->amplitude_rad), true);
+        for (unsigned i = 0; i < SUBSTEPS; i++) {
+            AT(b->thrust[(b->step + i) & b->ring_mask]) = thrust;
+            AT(b->over_kt[i]) = ripple[i] * LOOK(b->kt);
+            AT(b->under[i]) = 1.0 - (VEC){0};
+        }
+    }
+}
+
+/* tank_step with drag_fraction; the thrust one substep earlier still is the one read before. */
+STRIP_INLINE void OF(water_step)(OF(water_t) * water, VEC late, VEC over_kt, VEC under, double dt,
+                                 bool whole) {
     VEC mixed = late;
     if (!whole) {
         mixed += water->delay_fraction * (water->late - late);
+        water->late = late;
     }
-    const VEC h = mixed * ripple;
-    const VEC kt = water->kt;
-    const VEC z2 = h * kt * kt;
+    water->late_most = STRIP_MAX(late, water->late_most);
     const VEC v = water->v;
-    water->late = late;
-    water->z2_most = STRIP_MAX(z2, water->z2_most);
-    water->vkt_most = STRIP_MAX(v * kt, water->vkt_most);
-    const VEC tau = kt * (1.0 - z2 * (1.0 / 3.0 - z2 * (2.0 / 15.0)));
-    const VEC next = (v + h * tau) / (1.0 + v * tau);
-    const VEC vv = next * next;
-    water->way += dt * (0.5 * (v + next) + kt * (vv - water->vv) * (1.0 / 12.0));
+    const VEC push = mixed * over_kt;
+    const VEC fifteenth = push * water->kt_fifteenth;
+    const VEC a = under + fifteenth;
+    const VEC under_b = under * (a + 5.0 * fifteenth);
+    const VEC next = (v * under_b + push * a) / (under_b + v * (under * water->kt * a));
+    water->way += (v + next) * (0.5 * dt + water->dt_twelfth * (next - v));
     water->v = next;
-    water->vv = vv;
 }
 
-STRIP_INLINE void OF(begin_water)(OF(water_t) * water, const batch_block_t *b, unsigned l,
-                                  double dt) {
-    water->kt = LOOK(b->kappa_per_m) * dt;
+STRIP_INLINE void OF(begin_water)(OF(water_t) * water, const batch_block_t *b, unsigned l) {
+    water->kt = LOOK(b->kt);
+    water->kt_fifteenth = LOOK(b->kt_fifteenth);
+    water->dt_twelfth = LOOK(b->dt_twelfth);
     water->delay_fraction = LOOK(b->delay_fraction);
     water->v = LOOK(b->v_m_s);
-    water->vv = water->v * water->v;
     water->way = LOOK(b->way_m);
     water->late = LOOK(b->late);
-    water->z2_most = LOOK(b->z2_most);
-    water->vkt_most = LOOK(b->vkt_most);
+    water->late_most = LOOK(b->late_most);
 }
 
 STRIP_INLINE void OF(keep_water)(const OF(water_t) * water, batch_block_t *b, unsigned l) {
     AT(b->v_m_s) = water->v;
     AT(b->way_m) = water->way;
-    AT(b->late) = water->late;
-    AT(b->z2_most) = water->z2_most;
-    AT(b->vkt_most) = water->vkt_most;
-}
-
-/* How far the head has swayed along the tank with its tail, by the end of the frame. */
-STRIP_INLINE void OF(sway)(batch_block_t *b, unsigned l, double next_sine) {
-    VEC tail_rad = LOOK(b->amplitude_rad) * next_sine;
-    if (b->has_servo) {
-        tail_rad = LOOK(b->servo_rad);
-    }
-    AT(b->swayed_m[0]) = LOOK(b->swayed_m[1]);
-    AT(b->swayed_m[1]) = LOOK(b->sway_m_per_rad) * tail_rad;
-}
-
-STRIP_INLINE void OF(begin_tail)(OF(tail_t) * tail, const batch_block_t *b, unsigned l, double sine,
-                                 double next_sine, bool has_servo) {
-    tail->dead_zone = LOOK(b->dead_zone_rad);
-    tail->slope = LOOK(b->slope);
-    tail->bend = LOOK(b->bend);
-    if (has_servo) {
-        OF(begin_servo)(tail, b, l, sine, next_sine);
-    } else {
-        tail->thrust = OF(thrust)(tail, LOOK(b->amplitude_rad));
-    }
+    AT(b->late_most) = water->late_most;
 }
 
 /* |i|: of the points of the frame. */
 STRIP_INLINE void OF(trace)(batch_block_t *b, const OF(water_t) * water, unsigned l, unsigned i) {
-    AT(b->trace_v_m_s[i]) = water->v;
-    AT(b->trace_way_m[i]) = water->way;
+    if ((b->traced >> i & 1u) != 0) {
+        AT(b->trace_v_m_s[i]) = water->v;
+        AT(b->trace_way_m[i]) = water->way;
+    }
 }
 
-#define EACH_BESIDE(l) for (unsigned p = 0, l = first; p < STRIPS; p++, l += STRIP_WIDTH)
-
-/* STRIPS strips beside each other, so that none waits for its own roots and quotients. */
-STRIP_INLINE void OF(strips_frame)(batch_block_t *b, const strip_rows_t *rows, unsigned first,
-                                   double sine, double next_sine, const double *ripple,
-                                   bool has_servo, bool traced) {
+STRIP_INLINE void OF(water_frame)(batch_block_t *b, bool whole_delay, bool traced) {
     const double dt = b->frame_s / SUBSTEPS;
-    const double to_amplitude = 1 / (dt * b->omega_rad_s);
-    OF(tail_t) tail[STRIPS];
-    OF(water_t) water[STRIPS];
-    EACH_BESIDE(l) {
-        OF(begin_tail)(&tail[p], b, l, sine, next_sine, has_servo);
-        OF(begin_water)(&water[p], b, l, dt);
-        if (traced) {
-            OF(trace)(b, &water[p], l, 0);
-        }
-    }
-    for (unsigned i = 0; i < SUBSTEPS; i++) {
-        if (has_servo) {
-            EACH_BESIDE(l) { OF(servo_moves)(&tail[p], to_amplitude, (double)i); }
-            EACH_BESIDE(l) { OF(servo_pushes)(&tail[p]); }
-        } else {
-            EACH_BESIDE(l) { tail[p].ripple = ripple[i] - (VEC){0}; }
-        }
-        EACH_BESIDE(l) {
-            AT(rows->now[i]) = tail[p].thrust;
-            const VEC late = OF(delayed)(b, rows, i, l);
-            OF(water_step)(&water[p], late, b->whole_delay, tail[p].ripple, dt);
+    late_rows_t late;
+    find_late(b, &late);
+    for (unsigned first = 0; first < BATCH_LANES; first += WATER_STRIPS * STRIP_WIDTH) {
+        OF(water_t) water[WATER_STRIPS];
+        EACH_BESIDE(l, WATER_STRIPS) {
+            OF(begin_water)(&water[p], b, l);
             if (traced) {
-                OF(trace)(b, &water[p], l, i + 1);
+                OF(trace)(b, &water[p], l, 0);
+            }
+        }
+#pragma GCC unroll 4 /* SUBSTEPS */
+        for (unsigned i = 0; i < SUBSTEPS; i++) {
+            EACH_BESIDE(l, WATER_STRIPS) {
+                OF(water_step)(&water[p], LOOK(late.row[i]), LOOK(b->over_kt[i]), LOOK(b->under[i]),
+                               dt, whole_delay);
+                if (traced) {
+                    OF(trace)(b, &water[p], l, i + 1);
+                }
+            }
+        }
+        EACH_BESIDE(l, WATER_STRIPS) {
+            OF(keep_water)(&water[p], b, l);
+            if (!whole_delay) {
+                AT(b->late) = water[p].late;
             }
         }
     }
-    EACH_BESIDE(l) {
-        if (has_servo) {
-            AT(b->servo_rad) = tail[p].servo;
-        }
-        OF(keep_water)(&water[p], b, l);
-        if (b->sways) {
-            OF(sway)(b, l, next_sine);
+}
+
+/* How far the heads have swayed along the tank with their tails, at one end of the frame. */
+STRIP_INLINE void OF(sway)(batch_block_t *b, unsigned end, double sine) {
+    if (b->sways && b->traced != 0) {
+        EACH_STRIP(l) {
+            VEC tail_rad = LOOK(b->amplitude_rad) * sine;
+            if (b->has_servo) {
+                tail_rad = LOOK(b->servo_rad);
+            }
+            AT(b->swayed_m[end]) = LOOK(b->sway_m_per_rad) * tail_rad;
         }
     }
 }
 
+/* First all tails, then all the water: in one loop over both, roots and quotients wait for each
+ * other, which takes a tenth longer (AVX-512, Zen 4). */
 STRIP_TARGET static void OF(frame)(batch_block_t *b, double sine, double next_sine,
                                    const double ripple[SUBSTEPS]) {
-    const strip_rows_t rows = strip_rows(b);
-    for (unsigned l = 0; l < BATCH_LANES; l += STRIPS * STRIP_WIDTH) {
-        if (!b->has_servo) {
-            OF(strips_frame)(b, &rows, l, sine, next_sine, ripple, false, true);
-        } else if (b->traced) {
-            OF(strips_frame)(b, &rows, l, sine, next_sine, ripple, true, true);
-        } else {
-            OF(strips_frame)(b, &rows, l, sine, next_sine, ripple, true, false);
-        }
+    OF(sway)(b, 0, sine);
+    if (!b->has_servo) {
+        OF(table_frame)(b, ripple);
+    } else if (b->bends) {
+        OF(servo_frame)(b, sine, next_sine, true);
+    } else {
+        OF(servo_frame)(b, sine, next_sine, false);
     }
+    if (!b->whole_delay) {
+        OF(water_frame)(b, false, true);
+    } else if (b->traced != 0) {
+        OF(water_frame)(b, true, true);
+    } else {
+        OF(water_frame)(b, true, false);
+    }
+    OF(sway)(b, 1, next_sine);
     b->step += SUBSTEPS;
 }
 
@@ -243,38 +245,58 @@ STRIP_INLINE BITS OF(ones)(BITS x) {
     return (x + (x >> 32)) & 0xFFu;
 }
 
-/* noise_normal_of. */
+/* noise_normal_of: the same sum as a whole number of 2^-32. */
 STRIP_INLINE VEC OF(normal)(BITS coins) {
     const BITS dither = OF(mix)(coins + NOISE_GOLDEN);
-    const VEC triangle =
-        OF(real)(dither & UINT32_MAX) * 0x1p-32 + OF(real)(dither >> 32) * 0x1p-32 - 1.0;
-    return ((OF(real)(OF(ones)(coins)) - 32.0) + triangle) * NOISE_INVERSE_SIGMA;
+    const BITS parts = (dither & UINT32_MAX) + (dither >> 32) + (STRIP_ONES(coins) << 32);
+    return (OF(real)(parts) * 0x1p-32 - 33.0) * NOISE_INVERSE_SIGMA;
 }
 
-/* Cubic through position and speed at both ends of a substep, as fish_at; then the noise. */
-STRIP_INLINE VEC OF(position)(const batch_block_t *b, const batch_picture_t *p, unsigned l) {
-    const VEC x0 = LOOK(b->trace_way_m[p->substep]), x1 = LOOK(b->trace_way_m[p->substep + 1]);
-    const VEC v0 = LOOK(b->trace_v_m_s[p->substep]), v1 = LOOK(b->trace_v_m_s[p->substep + 1]);
+/* What a picture is computed with in every lane. */
+typedef struct {
+    unsigned before, after; /* points of the frame */
+    double x0, x1, v0, v1;  /* weights of place and speed there */
+    double in_beat_s, part; /* |part|: of the frame */
+    uint64_t draw;
+    double t[2]; /* in the windows */
+} OF(view_t);
+
+/* Cubic through position and speed at both ends of a substep, as fish_at. */
+STRIP_INLINE OF(view_t) OF(view)(const batch_block_t *b, const batch_picture_t *p) {
     const double u = p->part, w = 1 - u;
-    const double dt = b->frame_s / SUBSTEPS, part = (p->substep + p->part) / SUBSTEPS;
+    const double uw_dt = u * w * b->frame_s / SUBSTEPS;
+    return (OF(view_t)){
+        .before = p->substep,
+        .after = p->substep + 1,
+        .x0 = w * w * (1 + 2 * u),
+        .x1 = u * u * (3 - 2 * u),
+        .v0 = uw_dt * w,
+        .v1 = uw_dt * u,
+        .in_beat_s = p->in_beat_s,
+        .part = (p->substep + p->part) / SUBSTEPS,
+        .draw = (2 * p->sample + 1u) * NOISE_GOLDEN,
+        .t = {p->time_s - b->window[0].begin_s - b->half_window_s,
+              p->time_s - b->window[1].begin_s - b->half_window_s},
+    };
+}
+
+STRIP_INLINE VEC OF(position)(const batch_block_t *b, const OF(view_t) * see, unsigned l) {
     const VEC way =
-        x0 * w * w * (1 + 2 * u) + x1 * u * u * (3 - 2 * u) + u * w * (w * v0 * dt - u * v1 * dt);
-    const uint64_t draw = (2 * p->sample + 1u) * NOISE_GOLDEN;
-    const VEC noise = OF(normal)(OF(mix)(LOOK_BITS(b->noise_key) + draw));
+        LOOK(b->trace_way_m[see->before]) * see->x0 + LOOK(b->trace_way_m[see->after]) * see->x1 +
+        LOOK(b->trace_v_m_s[see->before]) * see->v0 - LOOK(b->trace_v_m_s[see->after]) * see->v1;
+    const VEC noise = OF(normal)(OF(mix)(LOOK_BITS(b->noise_key) + see->draw));
     const VEC from = LOOK(b->swayed_m[0]);
-    const VEC swayed = from + part * (LOOK(b->swayed_m[1]) - from);
-    const VEC along = LOOK(b->base_m) + way + LOOK(b->flow_m_s) * p->in_beat_s;
+    const VEC swayed = from + see->part * (LOOK(b->swayed_m[1]) - from);
+    const VEC along = LOOK(b->base_m) + way + LOOK(b->flow_m_s) * see->in_beat_s;
     return LOOK(b->ahead) * along - swayed + LOOK(b->noise_m) * noise;
 }
 
+/* What all lanes have in common is in count_picture. */
 STRIP_INLINE void OF(add_all)(batch_window_t *w, unsigned l, double t, VEC x) {
     const VEC dx = x - LOOK(w->offset_m);
     AT(w->sx) += dx;
     AT(w->stx) += t * dx;
     AT(w->sxx) += dx * dx;
-    AT(w->n) += 1;
-    AT(w->st) += t;
-    AT(w->stt) += t * t;
 }
 
 /* |lost|: all bits of a lane whose picture is missing. */
@@ -299,18 +321,18 @@ STRIP_INLINE BITS OF(lost)(const batch_block_t *b, uint64_t sample, unsigned l) 
 }
 
 STRIP_TARGET static void OF(picture)(batch_block_t *b, const batch_picture_t *p) {
-    double t[2];
-    for (unsigned i = 0; i < 2; i++) {
-        t[i] = p->time_s - b->window[i].begin_s - b->half_window_s;
+    const OF(view_t) see = OF(view)(b, p);
+    for (unsigned i = 0; i < 2 && !b->lossy; i++) {
+        count_picture(&b->window[i], see.t[i]);
     }
     EACH_STRIP(l) {
-        const VEC x = OF(position)(b, p, l);
+        const VEC x = OF(position)(b, &see, l);
         const BITS lost = b->lossy ? OF(lost)(b, p->sample, l) : (BITS){0};
         for (unsigned i = 0; i < 2; i++) {
             if (b->window[i].open && b->lossy) {
-                OF(add_seen)(&b->window[i], l, t[i], x, lost);
+                OF(add_seen)(&b->window[i], l, see.t[i], x, lost);
             } else if (b->window[i].open) {
-                OF(add_all)(&b->window[i], l, t[i], x);
+                OF(add_all)(&b->window[i], l, see.t[i], x);
             }
         }
     }
@@ -322,7 +344,8 @@ static const batch_lanes_t STRIP_LABEL = {STRIP_TEXT, OF(frame), OF(picture), OF
 
 #undef EACH_STRIP
 #undef EACH_BESIDE
-#undef STRIPS
+#undef TAIL_STRIPS
+#undef WATER_STRIPS
 #undef LOOK_BITS
 #undef LOOK
 #undef AT
@@ -336,6 +359,8 @@ static const batch_lanes_t STRIP_LABEL = {STRIP_TEXT, OF(frame), OF(picture), OF
 #undef STRIP_TEXT
 #undef STRIP_TARGET
 #undef STRIP_WIDTH
+#undef STRIP_ABOVE
+#undef STRIP_ONES
 #undef STRIP_SQRT
 #undef STRIP_MIN
 #undef STRIP_MAX

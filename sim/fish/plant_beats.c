@@ -27,8 +27,7 @@ static double tank_beat(plant_t *plant, tail_t *tail, double amplitude_rad, doub
         drive_t drive;
         tail_frame_sine(tail, amplitude_rad, frame_s, &drive);
         for (unsigned i = 0; i < SUBSTEPS; i++) {
-            distance += tank_step(&plant->tank, &plant->motion.water_v_m_s, drive.amplitude_rad[i],
-                                  drive.ripple[i], 1, dt);
+            distance += tank_step(&plant->tank, &plant->motion.water_v_m_s, &drive, i, 1, dt);
         }
     }
     return distance;

@@ -10,6 +10,7 @@
 /* A tick is 5.8e-4 rad; a sine rounded to ticks stays within one of its fit. */
 #define SINE_TOLERANCE_RAD 1.5e-3
 #define STILL_RAD 1e-6
+#define SPAN_MIN_S 1e-6 /* a tick of the simulated clock */
 #define CENTRE_TICKS 4500
 /* A tail that gets stiff or limp takes its bias up or gives it up no faster than this. */
 #define BIAS_RAD_S 1.0
@@ -59,17 +60,31 @@ static void follow_bias(tail_t *tail, double wanted_rad, double frame_s) {
     tail->bias_rad += by > most ? most : by < -most ? -most : by;
 }
 
-static void drive_hold(drive_t *drive, double amplitude_rad, double ripple) {
+static void drive_set(drive_t *drive, unsigned i, double amplitude_rad, double over, double under) {
+    drive->amplitude_rad[i] = amplitude_rad;
+    drive->ripple_over[i] = over;
+    drive->ripple_under[i] = under;
+}
+
+static void drive_limp(drive_t *drive) {
     for (unsigned i = 0; i < SUBSTEPS; i++) {
-        drive->amplitude_rad[i] = amplitude_rad;
-        drive->ripple[i] = ripple;
+        drive_set(drive, i, 0, 1, 1);
     }
 }
 
 static void drive_table(const tail_t *tail, double amplitude_rad, drive_t *drive) {
     for (unsigned i = 0; i < SUBSTEPS; i++) {
-        drive->amplitude_rad[i] = amplitude_rad;
-        drive->ripple[i] = tail->ripple[tail->frame * SUBSTEPS + i];
+        drive_set(drive, i, amplitude_rad, tail->ripple[tail->frame * SUBSTEPS + i], 1);
+    }
+}
+
+/* From twice the angle, and twice its part that is in phase with the tail's speed. */
+static void drive_swing(drive_t *drive, unsigned i, double middle, double cosine) {
+    const double square = middle * middle + cosine * cosine;
+    if (square > 4 * STILL_RAD * STILL_RAD) {
+        drive_set(drive, i, 0.5 * sqrt(square), cosine * cosine, 0.5 * square);
+    } else {
+        drive_set(drive, i, 0, 1, 1);
     }
 }
 
@@ -77,29 +92,29 @@ static void drive_table(const tail_t *tail, double amplitude_rad, drive_t *drive
 static void drive_two_points(const tail_t *tail, double angle, double next, drive_t *drive) {
     const double d = TWO_PI / tail->frames_per_beat;
     const double cosine = (next - angle * cos(d)) / sin(d);
-    const double square = angle * angle + cosine * cosine;
-    drive_hold(drive, sqrt(square),
-               square > STILL_RAD * STILL_RAD ? 2 * cosine * cosine / square : 1.0);
+    for (unsigned i = 0; i < SUBSTEPS; i++) {
+        drive_swing(drive, i, 2 * angle, 2 * cosine);
+    }
 }
 
+/* The lag is exact for a command that goes straight from |from| to |to|: the servo makes up
+ * |settle| of what it lacks to a target that runs ahead of the command. */
 static void servo_frame(tail_t *tail, double from, double to, double frame_s, drive_t *drive) {
-    const double h = frame_s / SUBSTEPS;
-    const double lag = tail->lag_s;
-    const double slope = frame_s > 0 ? (to - from) / frame_s : 0;
-    const double decay = lag > 0 ? exp(-h / lag) : 0;
+    const double span_s = fmax(frame_s, SPAN_MIN_S);
+    const double h = span_s / SUBSTEPS;
+    const double settle = tail->lag_s > 0 ? 1 - exp(-h / tail->lag_s) : 1;
+    const double ahead_frames = 1.0 / SUBSTEPS / settle - tail->lag_s / span_s;
     const double most = tail->rate_rad_s > 0 ? tail->rate_rad_s * h : 1e9;
-    const double to_amplitude = h > 0 ? 1 / (h * tail->omega_rad_s) : 0;
+    const double to_amplitude = 2 / (h * tail->omega_rad_s);
     double angle = tail->servo_rad;
+    double target = from + (to - from) * ahead_frames;
     for (unsigned i = 0; i < SUBSTEPS; i++) {
-        const double behind = from + slope * h * i - slope * lag;
-        double moved = (1 - decay) * (behind - angle) + slope * h;
+        double moved = settle * (target - angle);
         moved = moved > most ? most : moved < -most ? -most : moved;
-        const double middle = angle + 0.5 * moved;
-        const double cosine = moved * to_amplitude;
-        const double square = middle * middle + cosine * cosine;
-        drive->amplitude_rad[i] = sqrt(square);
-        drive->ripple[i] = square > STILL_RAD * STILL_RAD ? 2 * cosine * cosine / square : 1.0;
-        angle += moved;
+        const double next = angle + moved;
+        drive_swing(drive, i, angle + next, moved * to_amplitude);
+        target += (to - from) * (1.0 / SUBSTEPS);
+        angle = next;
     }
     tail->servo_rad = angle;
 }
@@ -134,7 +149,7 @@ void tail_frame(tail_t *tail, uint16_t pulse, uint16_t next_pulse, double frame_
         if (tail->has_servo) {
             servo_frame(tail, 0, 0, frame_s, drive);
         } else {
-            drive_hold(drive, 0, 1);
+            drive_limp(drive);
             tail->servo_rad = 0;
         }
         follow_bias(tail, 0, frame_s);

@@ -175,8 +175,7 @@ static void advance(plant_t *plant, double distance_m, double bias_rad, double d
 static double swim_on(plant_t *plant, const drive_t *drive, unsigned i, double dt) {
     double *v = &plant->motion.water_v_m_s;
     return plant->kind == SIM_PLANT_TANK
-               ? tank_step(&plant->tank, v, drive->amplitude_rad[i], drive->ripple[i], plant->gain,
-                           dt)
+               ? tank_step(&plant->tank, v, drive, i, plant->gain, dt)
                : thesis_step(&plant->thesis, v, drive->amplitude_rad[i], plant->gain, dt);
 }
 

@@ -28,14 +28,15 @@ void tank_begin(tank_t *tank) {
     memset(tank->thrust, 0, sizeof tank->thrust);
 }
 
-double tank_step(tank_t *tank, double *v_m_s, double amplitude_rad, double ripple, double gain,
+double tank_step(tank_t *tank, double *v_m_s, const drive_t *drive, unsigned substep, double gain,
                  double dt_s) {
     const uint32_t now = tank->step++;
     tank->thrust[now % DELAY_RING] =
-        tank_thrust(amplitude_rad, tank->dead_zone_rad, gain * tank->slope_m_s_rad,
+        tank_thrust(drive->amplitude_rad[substep], tank->dead_zone_rad, gain * tank->slope_m_s_rad,
                     gain * tank->map_bend_m_s_rad2);
     const double late = tank->thrust[(now - tank->delay_steps) % DELAY_RING];
     const double later = tank->thrust[(now - tank->delay_steps - 1u) % DELAY_RING];
     const double h = late + tank->delay_fraction * (later - late);
-    return drag_step(v_m_s, h * ripple, tank->kappa_per_m, dt_s);
+    return drag_step(v_m_s, h, drive->ripple_over[substep], drive->ripple_under[substep],
+                     tank->kappa_per_m, dt_s);
 }

@@ -3,6 +3,7 @@
 #define SIM_PLANT_TANK_H
 
 #include "common/sim_config.h"
+#include "tail_beat.h"
 
 #include <stdint.h>
 
@@ -28,10 +29,11 @@ static inline double tank_thrust(double amplitude_rad, double dead_zone_rad, dou
                                  double bend) {
     const double over = amplitude_rad - dead_zone_rad;
     const double beyond = over > 0 ? over : 0;
-    const double vss = slope * beyond + bend * beyond * beyond;
+    const double vss = (slope + bend * beyond) * beyond;
     return vss > 0 ? vss * vss : 0;
 }
-double tank_step(tank_t *tank, double *v_m_s, double amplitude_rad, double ripple, double gain,
+/* One substep of a frame. */
+double tank_step(tank_t *tank, double *v_m_s, const drive_t *drive, unsigned substep, double gain,
                  double dt_s);
 
 #endif

@@ -15,7 +15,9 @@
 /* In the middle of each quarter of a frame. */
 typedef struct {
     double amplitude_rad[SUBSTEPS];
-    double ripple[SUBSTEPS]; /* thrust over its mean over the beat: 2 cos^2 of the tail's phase */
+    /* Thrust over its mean over the beat: 2 cos^2 of the tail's phase. A fraction, since the step
+     * of the speed divides anyway. */
+    double ripple_over[SUBSTEPS], ripple_under[SUBSTEPS];
     double commanded_rad[2]; /* at the ends of the frame, about the bias */
 } drive_t;
 
