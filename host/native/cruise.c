@@ -20,7 +20,8 @@ void cruise_speeds(const sim_config_t *config, const double *h1_n, const double 
     double v = 0;
     for (size_t k = 0; k < samples; k++) {
         const double drag_kg_m = config->drag_kg_m + h2_kg_m[k];
-        way_m[k] = drag_step(&v, h1_n[k], 1, drag_kg_m, drag_kg_m / config->mass_kg, step_s);
+        const drag_push_t push = {h1_n[k], 1, drag_kg_m};
+        way_m[k] = drag_step(&v, push, drag_kg_m / config->mass_kg, step_s);
         v_m_s[k] = v;
     }
 }

@@ -65,6 +65,11 @@ static bool has_servo(const sim_config_t *c) {
     return c->servo_lag_s > 0 || c->servo_rate_rad_s > 0;
 }
 
+static double drag_way_m(const batch_block_t *rows, unsigned lane) {
+    return drag_way(rows->sum_m_s[lane], rows->v_m_s[lane], rows->frame_s / SUBSTEPS,
+                    rows->dt_twelfth[lane]);
+}
+
 static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_t swim) {
     batch_block_t *rows = &block->rows;
     disturbance_draw(&block->drawn[l], c, swim);
@@ -86,6 +91,8 @@ static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_
     rows->ahead_frames[l] = 1.0 / SUBSTEPS / rows->settle[l] - c->servo_lag_s / rows->frame_s;
     rows->most_rad[l] = c->servo_rate_rad_s > 0 ? c->servo_rate_rad_s * h : 1e9;
     rows->servo_rad[l] = rows->late[l] = rows->way_m[l] = rows->base_m[l] = 0;
+    rows->sum_m_s[l] = 0;
+    rows->begin_m[l] = drag_way_m(rows, l);
     rows->late_most[l] = rows->v_m_s[l] * rows->v_m_s[l] / RIPPLE_MAX;
     rows->ahead[l] = cos(block->drawn[l].place_rad);
     rows->swayed_m[0][l] = rows->swayed_m[1][l] = 0;
@@ -179,6 +186,13 @@ static void frame_reactive(block_t *block, const drive_t *drive) {
     rows->way_m[0] = rows->trace_way_m[SUBSTEPS][0];
 }
 
+/* Over water since the beat began. */
+static double lane_way_m(const block_t *block, unsigned lane) {
+    const batch_block_t *rows = &block->rows;
+    const bool tank = !block->alone || block->plant.kind == SIM_PLANT_TANK;
+    return tank ? drag_way_m(rows, lane) - rows->begin_m[lane] : rows->way_m[lane];
+}
+
 /* The frame of the fish that swims alone. */
 static void frame_alone(block_t *block, bool limp) {
     batch_block_t *rows = &block->rows;
@@ -193,15 +207,17 @@ static void frame_alone(block_t *block, bool limp) {
         return;
     }
     rows->trace_v_m_s[0][0] = rows->v_m_s[0];
-    rows->trace_way_m[0][0] = rows->way_m[0];
+    rows->trace_way_m[0][0] = lane_way_m(block, 0);
     for (unsigned i = 0; i < SUBSTEPS; i++) {
         double *v = &rows->v_m_s[0];
-        rows->way_m[0] +=
-            plant->kind == SIM_PLANT_TANK
-                ? tank_step(&plant->tank, v, &drive, i, plant->gain, dt)
-                : thesis_step(&plant->thesis, v, drive.amplitude_rad[i], plant->gain, dt);
+        if (plant->kind == SIM_PLANT_TANK) {
+            rows->sum_m_s[0] += tank_sum_step(&plant->tank, v, &drive, i, plant->gain, dt);
+        } else {
+            rows->way_m[0] +=
+                thesis_step(&plant->thesis, v, drive.amplitude_rad[i], plant->gain, dt);
+        }
         rows->trace_v_m_s[i + 1][0] = *v;
-        rows->trace_way_m[i + 1][0] = rows->way_m[0];
+        rows->trace_way_m[i + 1][0] = lane_way_m(block, 0);
     }
 }
 
@@ -316,9 +332,10 @@ static void begin_beat(block_t *block, size_t beat) {
     batch_block_t *rows = &block->rows;
     const task_t *task = block->task;
     for (unsigned l = 0; l < BATCH_LANES; l++) {
-        rows->base_m[l] +=
-            rows->way_m[l] + block->moved_m[l] + (beat > 0 ? rows->flow_m_s[l] * task->beat_s : 0);
-        rows->way_m[l] = block->moved_m[l] = 0;
+        rows->base_m[l] += lane_way_m(block, l) + block->moved_m[l] +
+                           (beat > 0 ? rows->flow_m_s[l] * task->beat_s : 0);
+        rows->way_m[l] = rows->sum_m_s[l] = block->moved_m[l] = 0;
+        rows->begin_m[l] = drag_way_m(rows, l);
         rows->amplitude_rad[l] =
             beat < task->beats ? fabs(task->amplitude_rad[fish_of(block, l) * task->beats + beat])
                                : 0;
@@ -335,7 +352,7 @@ static void swim_beats(block_t *block) {
         }
         for (unsigned l = 0; l < block->count; l++) {
             task->true_m_s[(block->first + l) * task->beats + k] =
-                (block->rows.way_m[l] + block->moved_m[l]) / task->beat_s + block->rows.flow_m_s[l];
+                (lane_way_m(block, l) + block->moved_m[l]) / task->beat_s + block->rows.flow_m_s[l];
         }
     }
     /* The last beat's window closes a picture later, with the tail limp. */

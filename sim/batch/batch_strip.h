@@ -23,9 +23,8 @@ typedef uint64_t OF(bits_t)
 #define LOOK(row) (*(const VEC *)&(row)[l])
 #define LOOK_BITS(row) (*(const BITS *)&(row)[l])
 /* So many beside each other that none waits for its own roots and quotients. */
-#define TAIL_STRIPS 4
-#define WATER_STRIPS 2
-#define EACH_BESIDE(l, strips) for (unsigned p = 0, l = first; p < (strips); p++, l += STRIP_WIDTH)
+#define STRIPS 2
+#define EACH_BESIDE(l) for (unsigned p = 0, l = first; p < STRIPS; p++, l += STRIP_WIDTH)
 #define EACH_STRIP(l) for (unsigned l = 0; l < BATCH_LANES; l += STRIP_WIDTH)
 
 /* Where |first|, |a|, elsewhere |b|. */
@@ -40,8 +39,8 @@ typedef struct {
 } OF(tail_t);
 
 typedef struct {
-    VEC kt, kt_fifteenth, dt_twelfth, delay_fraction;
-    VEC v, way, late, late_most;
+    VEC kt, kt_fifteenth, delay_fraction;
+    VEC v, sum, late, late_most;
 } OF(water_t);
 
 /* tank_thrust of |twice| the amplitude; without a bend, it is never negative. */
@@ -88,18 +87,18 @@ STRIP_INLINE VEC OF(tail_step)(OF(tail_t) * tail, double to_amplitude, batch_blo
 /* |bends|, and what else the code of a frame is told below, is known where it is compiled. */
 STRIP_INLINE void OF(servo_frame)(batch_block_t *b, double sine, double next_sine, bool bends) {
     const double to_amplitude = 2 / (b->frame_s / SUBSTEPS * b->omega_rad_s);
-    for (unsigned first = 0; first < BATCH_LANES; first += TAIL_STRIPS * STRIP_WIDTH) {
-        OF(tail_t) tail[TAIL_STRIPS];
-        EACH_BESIDE(l, TAIL_STRIPS) { OF(begin_tail)(&tail[p], b, l, sine, next_sine); }
+    for (unsigned first = 0; first < BATCH_LANES; first += STRIPS * STRIP_WIDTH) {
+        OF(tail_t) tail[STRIPS];
+        EACH_BESIDE(l) { OF(begin_tail)(&tail[p], b, l, sine, next_sine); }
 #pragma GCC unroll 4 /* SUBSTEPS */
         for (unsigned i = 0; i < SUBSTEPS; i++) {
             double *now = b->thrust[(b->step + i) & b->ring_mask];
-            EACH_BESIDE(l, TAIL_STRIPS) {
+            EACH_BESIDE(l) {
                 const VEC twice = OF(tail_step)(&tail[p], to_amplitude, b, i, l);
                 AT(now) = OF(thrust)(b, l, twice, bends);
             }
         }
-        EACH_BESIDE(l, TAIL_STRIPS) { AT(b->servo_rad) = tail[p].servo; }
+        EACH_BESIDE(l) { AT(b->servo_rad) = tail[p].servo; }
     }
 }
 
@@ -115,8 +114,8 @@ STRIP_INLINE void OF(table_frame)(batch_block_t *b, const double ripple[SUBSTEPS
     }
 }
 
-/* tank_step with drag_fraction; the thrust one substep earlier still is the one read before. */
-STRIP_INLINE void OF(water_step)(OF(water_t) * water, VEC late, VEC over_kt, VEC under, double dt,
+/* tank_sum_step with drag_fraction; the thrust one substep earlier still is the one read before. */
+STRIP_INLINE void OF(water_step)(OF(water_t) * water, VEC late, VEC over_kt, VEC under,
                                  bool whole) {
     VEC mixed = late;
     if (!whole) {
@@ -129,43 +128,43 @@ STRIP_INLINE void OF(water_step)(OF(water_t) * water, VEC late, VEC over_kt, VEC
     const VEC fifteenth = push * water->kt_fifteenth;
     const VEC a = under + fifteenth;
     const VEC under_b = under * (a + 5.0 * fifteenth);
-    const VEC next = (v * under_b + push * a) / (under_b + v * (under * water->kt * a));
-    water->way += (v + next) * (0.5 * dt + water->dt_twelfth * (next - v));
-    water->v = next;
+    water->v = (v * under_b + push * a) / (under_b + v * (under * water->kt * a));
+    water->sum += water->v;
 }
 
 STRIP_INLINE void OF(begin_water)(OF(water_t) * water, const batch_block_t *b, unsigned l) {
     water->kt = LOOK(b->kt);
     water->kt_fifteenth = LOOK(b->kt_fifteenth);
-    water->dt_twelfth = LOOK(b->dt_twelfth);
     water->delay_fraction = LOOK(b->delay_fraction);
     water->v = LOOK(b->v_m_s);
-    water->way = LOOK(b->way_m);
+    water->sum = LOOK(b->sum_m_s);
     water->late = LOOK(b->late);
     water->late_most = LOOK(b->late_most);
 }
 
 STRIP_INLINE void OF(keep_water)(const OF(water_t) * water, batch_block_t *b, unsigned l) {
     AT(b->v_m_s) = water->v;
-    AT(b->way_m) = water->way;
+    AT(b->sum_m_s) = water->sum;
     AT(b->late_most) = water->late_most;
 }
 
 /* |i|: of the points of the frame. */
 STRIP_INLINE void OF(trace)(batch_block_t *b, const OF(water_t) * water, unsigned l, unsigned i) {
+    const double dt = b->frame_s / SUBSTEPS;
     if ((b->traced >> i & 1u) != 0) {
-        AT(b->trace_v_m_s[i]) = water->v;
-        AT(b->trace_way_m[i]) = water->way;
+        const VEC v = water->v;
+        const VEC way = dt * (water->sum - 0.5 * v) + LOOK(b->dt_twelfth) * (v * v);
+        AT(b->trace_v_m_s[i]) = v;
+        AT(b->trace_way_m[i]) = way - LOOK(b->begin_m);
     }
 }
 
 STRIP_INLINE void OF(water_frame)(batch_block_t *b, bool whole_delay, bool traced) {
-    const double dt = b->frame_s / SUBSTEPS;
     late_rows_t late;
     find_late(b, &late);
-    for (unsigned first = 0; first < BATCH_LANES; first += WATER_STRIPS * STRIP_WIDTH) {
-        OF(water_t) water[WATER_STRIPS];
-        EACH_BESIDE(l, WATER_STRIPS) {
+    for (unsigned first = 0; first < BATCH_LANES; first += STRIPS * STRIP_WIDTH) {
+        OF(water_t) water[STRIPS];
+        EACH_BESIDE(l) {
             OF(begin_water)(&water[p], b, l);
             if (traced) {
                 OF(trace)(b, &water[p], l, 0);
@@ -173,15 +172,15 @@ STRIP_INLINE void OF(water_frame)(batch_block_t *b, bool whole_delay, bool trace
         }
 #pragma GCC unroll 4 /* SUBSTEPS */
         for (unsigned i = 0; i < SUBSTEPS; i++) {
-            EACH_BESIDE(l, WATER_STRIPS) {
-                OF(water_step)(&water[p], LOOK(late.row[i]), LOOK(b->over_kt[i]), LOOK(b->under[i]),
-                               dt, whole_delay);
+            EACH_BESIDE(l) {
+                OF(water_step)
+                (&water[p], LOOK(late.row[i]), LOOK(b->over_kt[i]), LOOK(b->under[i]), whole_delay);
                 if (traced) {
                     OF(trace)(b, &water[p], l, i + 1);
                 }
             }
         }
-        EACH_BESIDE(l, WATER_STRIPS) {
+        EACH_BESIDE(l) {
             OF(keep_water)(&water[p], b, l);
             if (!whole_delay) {
                 AT(b->late) = water[p].late;
@@ -344,8 +343,7 @@ static const batch_lanes_t STRIP_LABEL = {STRIP_TEXT, OF(frame), OF(picture), OF
 
 #undef EACH_STRIP
 #undef EACH_BESIDE
-#undef TAIL_STRIPS
-#undef WATER_STRIPS
+#undef STRIPS
 #undef LOOK_BITS
 #undef LOOK
 #undef AT

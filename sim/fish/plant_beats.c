@@ -22,15 +22,16 @@ static double reactive_beat(plant_t *plant, tail_t *tail, double amplitude_rad, 
 static double tank_beat(plant_t *plant, tail_t *tail, double amplitude_rad, double beat_s) {
     const double frame_s = beat_s / tail->frames_per_beat;
     const double dt = frame_s / SUBSTEPS;
-    double distance = 0;
+    double *v_m_s = &plant->motion.water_v_m_s, sum_m_s = 0;
+    const double begin_m = tank_way(&plant->tank, 0, *v_m_s, dt);
     for (uint32_t frame = 0; frame < tail->frames_per_beat; frame++) {
         drive_t drive;
         tail_frame_sine(tail, amplitude_rad, frame_s, &drive);
         for (unsigned i = 0; i < SUBSTEPS; i++) {
-            distance += tank_step(&plant->tank, &plant->motion.water_v_m_s, &drive, i, 1, dt);
+            sum_m_s += tank_sum_step(&plant->tank, v_m_s, &drive, i, 1, dt);
         }
     }
-    return distance;
+    return tank_way(&plant->tank, sum_m_s, *v_m_s, dt) - begin_m;
 }
 
 static double beat(plant_t *plant, tail_t *tail, double amplitude_rad, double beat_s) {

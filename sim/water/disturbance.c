@@ -46,6 +46,10 @@ static void spoil(disturbance_t *drawn, const sim_config_t *c, uint32_t trial) {
 }
 
 static void draw_waves(disturbance_t *drawn, const sim_config_t *c, uint32_t trial) {
+    drawn->moves = c->flow_moves_m_s > 0 || c->standing_wave_m_s > 0;
+    if (!drawn->moves) {
+        return;
+    }
     const uint64_t key = noise_key(c->seed, NOISE_FLOW_WAVES, trial);
     for (unsigned i = 0; i < DISTURBANCE_WAVES; i++) {
         const double octave = noise_uniform(key, 2 * i);
@@ -60,7 +64,6 @@ static void draw_waves(disturbance_t *drawn, const sim_config_t *c, uint32_t tri
         .rad_s = TWO_PI / STANDING_S,
         .phase_rad = TWO_PI * noise_uniform(key, 2 * DISTURBANCE_WAVES),
     };
-    drawn->moves = c->flow_moves_m_s > 0 || c->standing_wave_m_s > 0;
 }
 
 void disturbance_draw(disturbance_t *drawn, const sim_config_t *c, uint32_t trial) {

@@ -28,15 +28,31 @@ void tank_begin(tank_t *tank) {
     memset(tank->thrust, 0, sizeof tank->thrust);
 }
 
-double tank_step(tank_t *tank, double *v_m_s, const drive_t *drive, unsigned substep, double gain,
-                 double dt_s) {
+/* Puts the thrust of this substep away, and takes the one that works in it. */
+static drag_push_t next_push(tank_t *tank, const drive_t *drive, unsigned substep, double gain) {
     const uint32_t now = tank->step++;
     tank->thrust[now % DELAY_RING] =
         tank_thrust(drive->amplitude_rad[substep], tank->dead_zone_rad, gain * tank->slope_m_s_rad,
                     gain * tank->map_bend_m_s_rad2);
     const double late = tank->thrust[(now - tank->delay_steps) % DELAY_RING];
     const double later = tank->thrust[(now - tank->delay_steps - 1u) % DELAY_RING];
-    const double h = late + tank->delay_fraction * (later - late);
-    return drag_step(v_m_s, h, drive->ripple_over[substep], drive->ripple_under[substep],
-                     tank->kappa_per_m, dt_s);
+    return (drag_push_t){
+        .thrust = late + tank->delay_fraction * (later - late),
+        .over = drive->ripple_over[substep],
+        .under = drive->ripple_under[substep],
+    };
+}
+
+double tank_step(tank_t *tank, double *v_m_s, const drive_t *drive, unsigned substep, double gain,
+                 double dt_s) {
+    return drag_step(v_m_s, next_push(tank, drive, substep, gain), tank->kappa_per_m, dt_s);
+}
+
+double tank_sum_step(tank_t *tank, double *v_m_s, const drive_t *drive, unsigned substep,
+                     double gain, double dt_s) {
+    return drag_sum_step(v_m_s, next_push(tank, drive, substep, gain), tank->kappa_per_m, dt_s);
+}
+
+double tank_way(const tank_t *tank, double sum_m_s, double v_m_s, double dt_s) {
+    return drag_way(sum_m_s, v_m_s, dt_s, dt_s * (tank->kappa_per_m * dt_s) * (1.0 / 12.0));
 }

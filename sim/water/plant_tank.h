@@ -32,8 +32,13 @@ static inline double tank_thrust(double amplitude_rad, double dead_zone_rad, dou
     const double vss = (slope + bend * beyond) * beyond;
     return vss > 0 ? vss * vss : 0;
 }
-/* One substep of a frame. */
+/* One substep of a frame: the distance. */
 double tank_step(tank_t *tank, double *v_m_s, const drive_t *drive, unsigned substep, double gain,
                  double dt_s);
+/* The same, with the way summed up: the sum that grows by what is returned, and the way up to there
+ * but for a constant, as drag_sum_step and drag_way. */
+double tank_sum_step(tank_t *tank, double *v_m_s, const drive_t *drive, unsigned substep,
+                     double gain, double dt_s);
+double tank_way(const tank_t *tank, double sum_m_s, double v_m_s, double dt_s);
 
 #endif

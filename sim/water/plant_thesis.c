@@ -44,5 +44,6 @@ double thesis_step(thesis_t *thesis, double *v_m_s, double amplitude_rad, double
                    double dt_s) {
     thrust(thesis, amplitude_rad);
     const double drag = thesis->drag_kg_m + thesis->known_h2;
-    return drag_step(v_m_s, gain * gain * thesis->known_h1, 1, drag, drag / thesis->mass_kg, dt_s);
+    const drag_push_t push = {gain * gain * thesis->known_h1, 1, drag};
+    return drag_step(v_m_s, push, drag / thesis->mass_kg, dt_s);
 }

@@ -208,7 +208,7 @@ static void test_step_series_agrees_with_closed_form(void) {
         for (int j = 1; j <= 10; j++) {
             const double ve = 0.02 * j, z = ve * k * dt;
             double v = start;
-            const double distance = drag_step(&v, ve * ve, 1, 1, k, dt);
+            const double distance = drag_step(&v, (drag_push_t){ve * ve, 1, 1}, k, dt);
             const double t = tanh(z);
             const double exact_v = ve * (start + ve * t) / (ve + start * t);
             const double exact_x = log(cosh(z) + start / ve * sinh(z)) / k;
