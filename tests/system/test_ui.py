@@ -29,7 +29,7 @@ NOBODY = "tcp:127.0.0.1:1"
 
 @pytest.fixture
 def browser(tmp_path: Path) -> Iterator[Browser]:
-    with browsing(tmp_path / "downloads") as browser:
+    with browsing(tmp_path / "downloads", watched=True) as browser:
         yield browser
 
 
