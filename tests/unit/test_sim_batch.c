@@ -80,8 +80,8 @@ static void test_without_disturbances_the_bits_are_the_plants(void) {
     }
 }
 
-/* A drag for which the step's series does not hold, in between fish for which it does. */
-static void test_a_step_beyond_the_series_has_the_plants_bits_too(void) {
+/* A drag for which the step's fraction does not hold, in between fish for which it does. */
+static void test_a_step_beyond_the_fraction_has_the_plants_bits_too(void) {
     any_batch();
     for (size_t i = 0; i < FISH; i++) {
         be_quiet(&configs[i]);
@@ -321,7 +321,7 @@ static void test_refuses_nonsense(void) {
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_without_disturbances_the_bits_are_the_plants);
-    RUN_TEST(test_a_step_beyond_the_series_has_the_plants_bits_too);
+    RUN_TEST(test_a_step_beyond_the_fraction_has_the_plants_bits_too);
     RUN_TEST(test_thesis_plant);
     RUN_TEST(test_all_sets_of_instructions_give_the_same_bits);
     RUN_TEST(test_no_fish_feels_its_neighbours);

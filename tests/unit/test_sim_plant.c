@@ -160,7 +160,7 @@ static void compare_tank(sim_config_t c, double tolerance) {
 static void test_tank_against_fine_integration(void) {
     sim_config_t c = quiet_config(SIM_PLANT_TANK, false);
     compare_tank(c, 3e-6);
-    c.kappa_per_m = 400; /* beyond the series branch of the step */
+    c.kappa_per_m = 400; /* beyond the fraction of the step */
     compare_tank(c, 3e-5);
     c.kappa_per_m = 5;
     c.delay_s = 0.3124; /* between two substeps */
@@ -200,8 +200,8 @@ static void test_thesis_against_fine_integration(void) {
     }
 }
 
-/* The series branch of the step against the closed form, near the edge of its range. */
-static void test_step_series_agrees_with_closed_form(void) {
+/* The fraction of the step against the closed form, near the edge of its range. */
+static void test_step_fraction_agrees_with_closed_form(void) {
     const double k = 10, dt = 0.02;
     for (int i = 0; i <= 10; i++) {
         const double start = 0.02 * i;
@@ -341,7 +341,7 @@ int main(void) {
     RUN_TEST(test_tank_golden);
     RUN_TEST(test_tank_against_fine_integration);
     RUN_TEST(test_thesis_against_fine_integration);
-    RUN_TEST(test_step_series_agrees_with_closed_form);
+    RUN_TEST(test_step_fraction_agrees_with_closed_form);
     RUN_TEST(test_pulses_agree_with_amplitudes);
     RUN_TEST(test_disturbances_are_keyed_by_the_swim);
     RUN_TEST(test_coasts_after_a_sudden_stop);
