@@ -2,11 +2,11 @@
 
 Usage: run_all.py [--costs FILE] [--cpu-max S] [--beside NAME COMMAND ...] NAME COMMAND [NAME
 COMMAND ...]. Every command goes to the shell. Those of --beside run one after the other while the
-last command does, with what it leaves of the processors, and print at their end. The exit status is 1 when at least one failed, or when all together used
-more than S seconds of CPU time, told on a machine as quick as the one of the budget: a fixed piece
-of work, every few seconds while they run, says how quick this one is. One that is much slower is
-allowed a third more: it slows some work more than other. CPU time is that of a command with all
-processes it waited for.
+last command does, with what it leaves of the processors, and print at their end. The exit status is
+1 when at least one failed, or when all together used more than S seconds of CPU time, told on a
+machine as quick as the one of the budget: a fixed piece of work, every few seconds while they run,
+says how quick this one is. One that is much slower is allowed a third more: it slows some work more
+than other. CPU time is that of a command with all processes it waited for.
 
 With FILE, the commands add lines `<CPU seconds> <what>` to the file that TEST_COSTS names; the
 largest are printed.

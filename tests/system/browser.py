@@ -218,7 +218,7 @@ class Browser:
         return [entry["message"] for entry in self.driver.get_log("browser")]
 
     def strangers(self) -> set[str]:
-        """Hosts other than this computer that anything was asked of; of a browser that is watched."""
+        """Hosts other than this computer that a watched browser asked anything of."""
         hosts = set()
         for entry in self.driver.get_log("performance"):
             message = json.loads(entry["message"])["message"]
