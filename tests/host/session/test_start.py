@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -106,6 +107,30 @@ def tank() -> Tank:
     return Tank(SimBoard("tank", seed=11, tail_centre_rad=0.03))
 
 
+@pytest.fixture(scope="module")
+def first_day(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SimBoard]:
+    """Folder and board of a fish that the whole job has been done for once."""
+    folder = tmp_path_factory.mktemp("first")
+    board = SimBoard("tank", seed=11, tail_centre_rad=0.03)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fit, "bootstrap", lambda *_, **__: [])
+        patch.setenv("TAILBEAT_LOGBOOK", str(folder / "library"))
+        patch.chdir(folder)
+        end, operator = Tank(board).start()
+    assert end.series is not None and operator.swims() == 3 + 2
+    return folder, board
+
+
+@pytest.fixture
+def known_tank(tank: Tank, first_day: tuple[Path, SimBoard], tmp_path: Path) -> Tank:
+    """The day after, with the board switched on anew."""
+    folder, board = first_day
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    tank.board.flash = board.flash
+    tank.board.world.power_cycle()
+    return tank
+
+
 def names(end: StartEnd) -> list[str]:
     return [step.name for step in end.steps]
 
@@ -192,9 +217,8 @@ def test_a_stopped_board_is_cleared_and_the_fish_commissioned(tank: Tank) -> Non
     assert "measure" in names(end) and operator.laws()[0] == "model"
 
 
-def test_a_trial_that_waits_is_decided_on_first(tank: Tank) -> None:
-    tank.start()
-    with Fish(SimTransport(tank.board)) as fish:
+def test_a_trial_that_waits_is_decided_on_first(known_tank: Tank) -> None:
+    with Fish(SimTransport(known_tank.board)) as fish:
         experiment = begin(fish, Path("experiments"))
         fish.arm()
         run_trial(fish)
@@ -207,22 +231,23 @@ def test_a_trial_that_waits_is_decided_on_first(tank: Tank) -> None:
     assert decided[0] == begun[0] - 1
 
 
-def test_with_nobody_there_no_tail_moves(tank: Tank) -> None:
+def test_with_nobody_there_an_unknown_fish_does_not_move(tank: Tank) -> None:
     with pytest.raises(NobodyThere, match="the step 'commission' moves the tail"):
         tank.start(acts=False)
-    tank.start()
+
+
+def test_with_nobody_there_no_tail_moves(known_tank: Tank) -> None:
     operator = Agrees()
     with pytest.raises(NobodyThere, match="the step 'trials'") as refused:
-        tank.start(acts=False, operator=operator)
+        known_tank.start(acts=False, operator=operator)
     assert operator.swims() == 0 and refused.value.document == {"step": "trials"}
 
 
-def test_the_board_alone_goes_on_by_its_designed_law(tank: Tank) -> None:
+def test_the_board_alone_goes_on_by_its_designed_law(known_tank: Tank) -> None:
     """The laptop is gone after a trial: others are learned from on the board, from the last input;
     then the model-based law takes over again, the experiment knows which law made each input, and
     the model learns from these trials, too."""
-    tank.start()
-    with Fish(SimTransport(tank.board)) as fish:
+    with Fish(SimTransport(known_tank.board)) as fish:
         before = fish.amplitudes()
         assert before.input == INPUT_UPLOADED and fish.params.get("ILC_GAIN").value != 4.0
         number = run_trial(fish).number
@@ -232,13 +257,13 @@ def test_the_board_alone_goes_on_by_its_designed_law(tank: Tank) -> None:
         assert np.abs(after.values - before.values).max() < 0.15 + 1e-6
         run_trial(fish)
         fish.learn()
-    end, operator = tank.start(Options(until=Until(1), wanted=None))
+    end, operator = known_tank.start(Options(until=Until(1), wanted=None))
     assert operator.laws()[0] == "model" and end.series is not None and end.experiment is not None
     told = [event.text for event in operator.told if isinstance(event, Notice)]
     assert any(f"trials {number} to {number + 1} were executed without" in one for one in told)
     journal = {one["trial"]: one["law"] for one in end.experiment.journal.entries("input")}
     assert (journal[number], journal[number + 1]) == ("model", "p")
-    with Fish(SimTransport(tank.board)) as fish:
+    with Fish(SimTransport(known_tank.board)) as fish:
         held = library_of(fish)
         assert held is not None and {number, number + 1} <= {one.trial for one in held.speeds()}
 
