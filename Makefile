@@ -45,7 +45,7 @@ TESTED := package firmware smartfusion2 conformance_programs
 BUILT := $(foreach target,$(TESTED),--old-file=$(target))
 
 test: toolchain ## all tests: C (sanitized, and on a Cortex-M3), host tool, flash image
-	@$(RUN_ALL) --costs build/test_costs.txt --cpu-max $(TEST_CPU_MAX_S) \
+	@$(RUN_ALL) --costs build/test_costs.txt --cpu-max $(TEST_CPU_MAX_S) --in-memory \
 		--beside unit '$(MAKE) unit trial_log coverage' --beside qemu '$(MAKE) qemu' \
 		--beside image '$(MAKE) $(BUILT) image' \
 		builds '$(MAKE) $(TESTED)' 'host and system' '$(MAKE) $(BUILT) host_tests'

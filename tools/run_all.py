@@ -1,12 +1,14 @@
 """Runs several commands one after the other, also when one fails, and sums up at the end.
 
-Usage: run_all.py [--costs FILE] [--cpu-max S] [--beside NAME COMMAND ...] NAME COMMAND [NAME
-COMMAND ...]. Every command goes to the shell. Those of --beside run one after the other while the
-last command does, with what it leaves of the processors, and print at their end. The exit status is
-1 when at least one failed, or when all together used more than S seconds of CPU time, told on a
-machine as quick as the one of the budget: a fixed piece of work, every few seconds while they run,
-says how quick this one is. One that is much slower is allowed a third more: it slows some work more
-than other. CPU time is that of a command with all processes it waited for.
+Usage: run_all.py [--costs FILE] [--cpu-max S] [--in-memory] [--beside NAME COMMAND ...] NAME
+COMMAND [NAME COMMAND ...]. Every command goes to the shell. Those of --beside run one after the
+other while the last command does, with what it leaves of the processors, and print at their end.
+The exit status is 1 when at least one failed, or when all together used more than S seconds of CPU
+time, told on a machine as quick as the one of the budget: a fixed piece of work, every few seconds
+while they run, says how quick this one is. One that is much slower is allowed a third more: it
+slows some work more than other. CPU time is that of a command with all processes it waited for.
+
+With --in-memory, temporary files are in memory where that has room for them, and go at the end.
 
 With FILE, the commands add lines `<CPU seconds> <what>` to the file that TEST_COSTS names; the
 largest are printed.
@@ -17,6 +19,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -26,13 +29,15 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryFile
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import IO
 
 COSTS_VARIABLE = "TEST_COSTS"
 LARGEST = 20
 # CPU time of ``fixed_work`` on the machine of the budgets, and how long from one to the next.
 WORK_S, EVERY_S = 0.1, 10.0
+MEMORY = Path("/dev/shm")
+MEMORY_LEAST_BYTES = 2**30  # all tests need a fifth of it
 # A machine that takes so many times as long may use so much more: tests were seen to take 2.2 times
 # where the fixed work took 1.7.
 SLOW, SLOW_MORE = 1.4, 4 / 3
@@ -97,6 +102,18 @@ def timed_works() -> Iterator[list[float]]:
         thread.join()
 
 
+@contextmanager
+def in_memory() -> Iterator[None]:
+    """Temporary files of what runs meanwhile: tests write many small ones, for which a disk takes
+    4 % of their time."""
+    if not MEMORY.is_dir() or shutil.disk_usage(MEMORY).free < MEMORY_LEAST_BYTES:
+        yield
+        return
+    with TemporaryDirectory(prefix="", dir=MEMORY) as folder:
+        os.environ["TMPDIR"] = folder
+        yield
+
+
 def largest(costs: Path) -> list[str]:
     """The lines of the costs' file with the most CPU time, for the summary."""
     lines = costs.read_text().splitlines() if costs.is_file() else []
@@ -121,6 +138,7 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, add_help=False)
     parser.add_argument("--costs", type=Path)
     parser.add_argument("--cpu-max", type=float)
+    parser.add_argument("--in-memory", action="store_true")
     parser.add_argument("--beside", nargs=2, action="append", default=[])
     parser.add_argument("pairs", nargs="*")
     return parser.parse_args(arguments)
@@ -154,7 +172,7 @@ def main(arguments: Sequence[str]) -> int:
     judged = asked.cpu_max is not None
     outcomes: list[Outcome] = []
     timed: AbstractContextManager[list[float]] = timed_works() if judged else nullcontext([])
-    with timed as works_s:
+    with timed as works_s, in_memory() if asked.in_memory else nullcontext():
         *first, last = zip(asked.pairs[::2], asked.pairs[1::2], strict=True)
         outcomes += [run(*command) for command in first]
         outcomes += run_with(*last, asked.beside)

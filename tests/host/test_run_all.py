@@ -70,6 +70,25 @@ def test_what_runs_beside_the_last_begins_after_the_first(tmp_path: Path) -> Non
     assert run.stdout.split()[:5] == ["first", "last", str(os.nice(0) + 10), "asides", "more"]
 
 
+@pytest.mark.parametrize(("room", "there"), [(0, True), (1 << 80, False)])
+def test_temporary_files_are_in_memory_where_there_is_room(
+    tmp_path: Path, room: int, there: bool
+) -> None:
+    command = f"echo $TMPDIR >{tmp_path}/where; touch $TMPDIR/file"
+    code = (
+        f"import pathlib, run_all; run_all.MEMORY = pathlib.Path({str(tmp_path)!r});"
+        f"run_all.MEMORY_LEAST_BYTES = {room};"
+        f"raise SystemExit(run_all.main(['--in-memory', 'one', {command!r}]))"
+    )
+    environment = {**os.environ, "TMPDIR": "/elsewhere"}
+    subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT / "tools", env=environment, capture_output=True, check=False,
+    )  # fmt: skip
+    where = Path((tmp_path / "where").read_text().strip())
+    assert where.parent == (tmp_path if there else Path("/")) and not where.exists()
+
+
 def test_integration_runs_both_and_fails_when_either_does(tmp_path: Path) -> None:
     ci = tmp_path / ".ci" / "run"
     ci.parent.mkdir()
