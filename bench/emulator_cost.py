@@ -51,7 +51,7 @@ class Load:
     beats: int
 
 
-FULL = Load(places=12, place_instructions=4000, repeats=20, rounds=9, round_s=0.5, beats=40)
+FULL = Load(places=96, place_instructions=4000, repeats=20, rounds=9, round_s=0.5, beats=40)
 
 
 @dataclass(frozen=True)
