@@ -19,8 +19,8 @@ PYTHON_SOURCES := $(wildcard docs/*.py docs/diagrams/*.py) host tests tools wire
 
 # Runs all that it is given, whatever fails, and sums up.
 RUN_ALL := $(BIN)/python tools/run_all.py
-# CPU seconds of all tests, their builds included, on the machine of the budget. They take 560 to 655 s
-# there; on a busy or slow machine up to a third more than the fixed work tells.
+# CPU seconds of all tests, their builds included, on the machine of the budget. They take 530 to 650 s
+# there, the most with everything to build; on a busy or slow machine up to a third more than the fixed work tells.
 TEST_CPU_MAX_S := 880
 
 # For what takes long on purpose: no limits of time (tests/conftest.py).
@@ -39,8 +39,7 @@ help: ## list the targets
 demo: package ## a simulated fish learns the thesis's speed profile
 	@$(BIN)/tailbeat sim demo
 
-# Each part builds what it tests but for what two of them share, which is there when they begin. One
-# make for each of those: two would build the same folder at the same time.
+# What tests that run beside each other build in the same folder is built before them, and old to them.
 TESTED := package firmware smartfusion2 conformance_programs
 BUILT := $(foreach target,$(TESTED),--old-file=$(target))
 

@@ -12,35 +12,19 @@
 /* Nobody looks at the results, but the compiler does not know. */
 #define TAKE(a) __asm__ volatile("" ::"v"(a))
 
-static void divide_sse2(void) {
-    const __m128d x = _mm_set1_pd(1.234), y = _mm_set1_pd(1.777);
-    for (int i = 0; i < ROUNDS; i++) {
-        __m128d a = x, b = y;
-        __asm__ volatile("" : "+x"(a), "+x"(b));
-        TAKE(_mm_div_pd(a, b));
-        TAKE(_mm_sqrt_pd(a));
+#define DIVIDE(name, instructions, vector, set, quotient, root)                                    \
+    __attribute__((target(instructions))) static void name(void) {                                 \
+        const vector x = set(1.234), y = set(1.777);                                               \
+        for (int i = 0; i < ROUNDS; i++) {                                                         \
+            vector a = x, b = y;                                                                   \
+            __asm__ volatile("" : "+v"(a), "+v"(b));                                               \
+            TAKE(quotient(a, b));                                                                  \
+            TAKE(root(a));                                                                         \
+        }                                                                                          \
     }
-}
-
-__attribute__((target("avx2"))) static void divide_avx2(void) {
-    const __m256d x = _mm256_set1_pd(1.234), y = _mm256_set1_pd(1.777);
-    for (int i = 0; i < ROUNDS; i++) {
-        __m256d a = x, b = y;
-        __asm__ volatile("" : "+x"(a), "+x"(b));
-        TAKE(_mm256_div_pd(a, b));
-        TAKE(_mm256_sqrt_pd(a));
-    }
-}
-
-__attribute__((target("avx512f"))) static void divide_avx512(void) {
-    const __m512d x = _mm512_set1_pd(1.234), y = _mm512_set1_pd(1.777);
-    for (int i = 0; i < ROUNDS; i++) {
-        __m512d a = x, b = y;
-        __asm__ volatile("" : "+v"(a), "+v"(b));
-        TAKE(_mm512_div_pd(a, b));
-        TAKE(_mm512_sqrt_pd(a));
-    }
-}
+DIVIDE(divide_sse2, "sse2", __m128d, _mm_set1_pd, _mm_div_pd, _mm_sqrt_pd)
+DIVIDE(divide_avx2, "avx2", __m256d, _mm256_set1_pd, _mm256_div_pd, _mm256_sqrt_pd)
+DIVIDE(divide_avx512, "avx512f", __m512d, _mm512_set1_pd, _mm512_div_pd, _mm512_sqrt_pd)
 
 static unsigned divide(void) {
     if (__builtin_cpu_supports("avx512f")) {

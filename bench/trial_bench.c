@@ -114,7 +114,7 @@ static int run(sim_t *sim, bool thesis, int trials) {
 
 int main(int argc, char **argv) {
     if (argc > 1 && strcmp(argv[1], "divider") == 0) {
-        printf("%.4f ns for the quotients and roots of a substep\n", 1e9 * divider_substep_s());
+        printf("%.4f ns for the quotient and the root of a substep\n", 1e9 * divider_substep_s());
         return EXIT_SUCCESS;
     }
     const int trials = argc > 1 ? atoi(argv[1]) : 6;

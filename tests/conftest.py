@@ -34,7 +34,6 @@ def _stop(_: int, __: FrameType | None) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    gc.disable()  # while tests are collected, nothing becomes garbage
     os.fsync = lambda fd: None  # no test's files need to outlast the machine; waiting took 8 %
     signal.signal(signal.SIGPROF, _stop)
     guard_s = float(config.getini("faulthandler_timeout"))
@@ -42,10 +41,16 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError(f"faulthandler_timeout must be at least {20 * CPU_LIMIT_S:.0f}")
 
 
-def pytest_collection_finish() -> None:
-    """Most of what there is now stays to the end: looked through for garbage seldom."""
-    gc.set_threshold(50_000, 20, 50)
-    gc.enable()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Most of what is collected stays to the end: not looked through for garbage meanwhile, and
+    seldom after."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.set_threshold(50_000, 20, 50)
+        gc.enable()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -19,7 +19,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import os
-import shutil
 import subprocess
 import sys
 import threading
@@ -102,14 +101,23 @@ def timed_works() -> Iterator[list[float]]:
         thread.join()
 
 
+def has_room(folder: Path) -> bool:
+    """Whether it is there, big enough, and programs run from it."""
+    if not folder.is_dir():
+        return False
+    there = os.statvfs(folder)
+    fits = there.f_bavail * there.f_frsize >= MEMORY_LEAST_BYTES
+    return fits and not there.f_flag & os.ST_NOEXEC
+
+
 @contextmanager
 def in_memory() -> Iterator[None]:
     """Temporary files of what runs meanwhile: tests write many small ones, for which a disk takes
-    4 % of their time."""
-    if not MEMORY.is_dir() or shutil.disk_usage(MEMORY).free < MEMORY_LEAST_BYTES:
+    4 % of their time, and run programs from there."""
+    if not has_room(MEMORY):
         yield
         return
-    with TemporaryDirectory(prefix="", dir=MEMORY) as folder:
+    with TemporaryDirectory(prefix="", dir=MEMORY, ignore_cleanup_errors=True) as folder:
         os.environ["TMPDIR"] = folder
         yield
 

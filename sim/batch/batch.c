@@ -43,6 +43,7 @@ typedef struct {
     bool alone;          /* one fish, by the plant's own code; otherwise all lanes at once */
     tail_t tail;
     plant_t plant;
+    double way_m; /* since the beat began, alone in another plant than the tank */
     disturbance_t drawn[BATCH_LANES];
     bool moves;                  /* the water of any lane, within the trial */
     double moved_m[BATCH_LANES]; /* by that, since the beat began */
@@ -67,7 +68,7 @@ static bool has_servo(const sim_config_t *c) {
 
 static double drag_way_m(const batch_block_t *rows, unsigned lane) {
     return drag_way(rows->sum_m_s[lane], rows->v_m_s[lane], rows->frame_s / SUBSTEPS,
-                    rows->dt_twelfth[lane]);
+                    rows->twelfth[lane]);
 }
 
 static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_t swim) {
@@ -77,22 +78,20 @@ static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_
     const double h = rows->frame_s / SUBSTEPS;
     rows->v_m_s[l] = block->drawn[l].start_m_s;
     rows->flow_m_s[l] = block->drawn[l].flow_m_s;
-    block->moved_m[l] = 0;
     block->moves = block->moves || block->drawn[l].moves;
     rows->kt[l] = c->kappa_per_m * h;
     rows->twice_kt[l] = 2 * rows->kt[l];
     rows->kt_fifteenth[l] = rows->kt[l] * (1.0 / 15.0);
-    rows->dt_twelfth[l] = h * rows->kt[l] * (1.0 / 12.0);
+    rows->twelfth[l] = drag_twelfth(rows->kt[l], h);
     rows->half_slope[l] = 0.5 * (gain * c->slope_m_s_rad);
     rows->quarter_bend[l] = 0.25 * (gain * c->map_bend_m_s_rad2);
     rows->twice_dead_zone_rad[l] = 2 * c->dead_zone_rad;
     rows->delay_steps[l] = tank_delay(c->delay_s, &rows->delay_fraction[l]);
-    rows->settle[l] = c->servo_lag_s > 0 ? 1 - exp(-h / c->servo_lag_s) : 1;
-    rows->ahead_frames[l] = 1.0 / SUBSTEPS / rows->settle[l] - c->servo_lag_s / rows->frame_s;
-    rows->most_rad[l] = c->servo_rate_rad_s > 0 ? c->servo_rate_rad_s * h : 1e9;
-    rows->servo_rad[l] = rows->late[l] = rows->way_m[l] = rows->base_m[l] = 0;
-    rows->sum_m_s[l] = 0;
-    rows->begin_m[l] = drag_way_m(rows, l);
+    const tail_servo_t servo = tail_servo(c->servo_lag_s, c->servo_rate_rad_s, rows->frame_s);
+    rows->settle[l] = servo.settle;
+    rows->ahead_frames[l] = servo.ahead_frames;
+    rows->most_rad[l] = servo.most_rad;
+    rows->servo_rad[l] = rows->late[l] = 0;
     rows->late_most[l] = rows->v_m_s[l] * rows->v_m_s[l] / RIPPLE_MAX;
     rows->ahead[l] = cos(block->drawn[l].place_rad);
     rows->swayed_m[0][l] = rows->swayed_m[1][l] = 0;
@@ -174,7 +173,7 @@ static void begin(block_t *block) {
 static void frame_reactive(block_t *block, const drive_t *drive) {
     batch_block_t *rows = &block->rows;
     plant_t *plant = &block->plant;
-    const double way_m = rows->way_m[0];
+    const double way_m = block->way_m;
     const double ahead = plant->motion.cosine, aside = plant->motion.sine;
     plant_frame(plant, drive, block->task->configs[block->first].tail_centre_rad, rows->frame_s);
     const plant_point_t *trace = plant->motion.trace;
@@ -183,14 +182,14 @@ static void frame_reactive(block_t *block, const drive_t *drive) {
         rows->trace_way_m[i][0] =
             way_m + (trace[i].x_m - trace[0].x_m) * ahead + (trace[i].y_m - trace[0].y_m) * aside;
     }
-    rows->way_m[0] = rows->trace_way_m[SUBSTEPS][0];
+    block->way_m = rows->trace_way_m[SUBSTEPS][0];
 }
 
 /* Over water since the beat began. */
 static double lane_way_m(const block_t *block, unsigned lane) {
     const batch_block_t *rows = &block->rows;
     const bool tank = !block->alone || block->plant.kind == SIM_PLANT_TANK;
-    return tank ? drag_way_m(rows, lane) - rows->begin_m[lane] : rows->way_m[lane];
+    return tank ? drag_way_m(rows, lane) - rows->begin_m[lane] : block->way_m;
 }
 
 /* The frame of the fish that swims alone. */
@@ -213,8 +212,7 @@ static void frame_alone(block_t *block, bool limp) {
         if (plant->kind == SIM_PLANT_TANK) {
             rows->sum_m_s[0] += tank_sum_step(&plant->tank, v, &drive, i, plant->gain, dt);
         } else {
-            rows->way_m[0] +=
-                thesis_step(&plant->thesis, v, drive.amplitude_rad[i], plant->gain, dt);
+            block->way_m += thesis_step(&plant->thesis, v, drive.amplitude_rad[i], plant->gain, dt);
         }
         rows->trace_v_m_s[i + 1][0] = *v;
         rows->trace_way_m[i + 1][0] = lane_way_m(block, 0);
@@ -293,7 +291,7 @@ static void move_water(block_t *block) {
     }
 }
 
-/* What the lanes do for the others at the end of their frame. */
+/* What the lanes do for the others. */
 static void sway_alone(block_t *block, double sine) {
     batch_block_t *rows = &block->rows;
     const double tail_rad = rows->has_servo ? block->tail.servo_rad : rows->amplitude_rad[0] * sine;
@@ -331,10 +329,12 @@ static void swim_frame(block_t *block, uint32_t frame, bool limp) {
 static void begin_beat(block_t *block, size_t beat) {
     batch_block_t *rows = &block->rows;
     const task_t *task = block->task;
+    block->way_m = 0;
     for (unsigned l = 0; l < BATCH_LANES; l++) {
-        rows->base_m[l] += lane_way_m(block, l) + block->moved_m[l] +
-                           (beat > 0 ? rows->flow_m_s[l] * task->beat_s : 0);
-        rows->way_m[l] = rows->sum_m_s[l] = block->moved_m[l] = 0;
+        rows->base_m[l] = beat == 0 ? 0
+                                    : rows->base_m[l] + lane_way_m(block, l) + block->moved_m[l] +
+                                          rows->flow_m_s[l] * task->beat_s;
+        rows->sum_m_s[l] = block->moved_m[l] = 0;
         rows->begin_m[l] = drag_way_m(rows, l);
         rows->amplitude_rad[l] =
             beat < task->beats ? fabs(task->amplitude_rad[fish_of(block, l) * task->beats + beat])
@@ -409,7 +409,7 @@ static bool alike(const sim_config_t *a, const sim_config_t *b) {
  * its begin, or than it would have settled at: one limit holds for its speed and for its thrust. */
 static bool all_in_fraction(const batch_block_t *rows, unsigned l) {
     return RIPPLE_MAX * rows->late_most[l] * rows->kt[l] * rows->kt[l] <
-           (1 - ROUNDING) * fmin(DRAG_FRACTION_Z2, DRAG_FRACTION_VKT * DRAG_FRACTION_VKT);
+           (1 - ROUNDING) * DRAG_FRACTION_MOST * DRAG_FRACTION_MOST;
 }
 
 /* Returns how many fish it took. */

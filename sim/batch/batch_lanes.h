@@ -44,13 +44,12 @@ typedef struct {
     batch_row_t v_m_s, servo_rad, late;
     batch_row_t over_kt[SUBSTEPS], under[SUBSTEPS]; /* of the present frame; a scale is left out */
     batch_row_t half_slope, quarter_bend, twice_dead_zone_rad; /* of tank_thrust, times the gain */
-    batch_row_t kt, twice_kt, kt_fifteenth, dt_twelfth;        /* of drag_fraction */
+    batch_row_t kt, twice_kt, kt_fifteenth, twelfth;           /* of drag_step.h */
     batch_row_t delay_fraction;
-    batch_row_t ahead_frames, settle, most_rad; /* of servo_frame */
+    batch_row_t ahead_frames, settle, most_rad; /* tail_servo_t */
     batch_keys_t delay_steps;
     batch_row_t late_most;        /* thrust; beyond the fraction of drag_step.h the lane is wrong */
     batch_row_t sum_m_s, begin_m; /* drag_way's since the beat began, and drag_way then */
-    batch_row_t way_m;            /* that of other plants, whose fish swim alone */
     batch_row_t trace_v_m_s[SUBSTEPS + 1], trace_way_m[SUBSTEPS + 1];
     /* camera */
     batch_row_t flow_m_s, base_m; /* position at the beat's begin */

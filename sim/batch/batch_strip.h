@@ -84,7 +84,7 @@ STRIP_INLINE VEC OF(tail_step)(OF(tail_t) * tail, double to_amplitude, batch_blo
     return STRIP_ABOVE(square, still, STRIP_SQRT(square), (VEC){0});
 }
 
-/* |bends|, and what else the code of a frame is told below, is known where it is compiled. */
+/* |bends|, and the other flags of the frames below, are constants where the code is compiled. */
 STRIP_INLINE void OF(servo_frame)(batch_block_t *b, double sine, double next_sine, bool bends) {
     const double to_amplitude = 2 / (b->frame_s / SUBSTEPS * b->omega_rad_s);
     for (unsigned first = 0; first < BATCH_LANES; first += STRIPS * STRIP_WIDTH) {
@@ -115,8 +115,9 @@ STRIP_INLINE void OF(table_frame)(batch_block_t *b, const double ripple[SUBSTEPS
 }
 
 /* tank_sum_step with drag_fraction; the thrust one substep earlier still is the one read before. */
-STRIP_INLINE void OF(water_step)(OF(water_t) * water, VEC late, VEC over_kt, VEC under,
-                                 bool whole) {
+STRIP_INLINE void OF(water_step)(OF(water_t) * water, const batch_block_t *b, unsigned i,
+                                 unsigned l, VEC late, bool whole) {
+    const VEC under = LOOK(b->under[i]);
     VEC mixed = late;
     if (!whole) {
         mixed += water->delay_fraction * (water->late - late);
@@ -124,7 +125,7 @@ STRIP_INLINE void OF(water_step)(OF(water_t) * water, VEC late, VEC over_kt, VEC
     }
     water->late_most = STRIP_MAX(late, water->late_most);
     const VEC v = water->v;
-    const VEC push = mixed * over_kt;
+    const VEC push = mixed * LOOK(b->over_kt[i]);
     const VEC fifteenth = push * water->kt_fifteenth;
     const VEC a = under + fifteenth;
     const VEC under_b = under * (a + 5.0 * fifteenth);
@@ -142,10 +143,14 @@ STRIP_INLINE void OF(begin_water)(OF(water_t) * water, const batch_block_t *b, u
     water->late_most = LOOK(b->late_most);
 }
 
-STRIP_INLINE void OF(keep_water)(const OF(water_t) * water, batch_block_t *b, unsigned l) {
+STRIP_INLINE void OF(keep_water)(const OF(water_t) * water, batch_block_t *b, unsigned l,
+                                 bool whole) {
     AT(b->v_m_s) = water->v;
     AT(b->sum_m_s) = water->sum;
     AT(b->late_most) = water->late_most;
+    if (!whole) {
+        AT(b->late) = water->late;
+    }
 }
 
 /* |i|: of the points of the frame. */
@@ -153,13 +158,13 @@ STRIP_INLINE void OF(trace)(batch_block_t *b, const OF(water_t) * water, unsigne
     const double dt = b->frame_s / SUBSTEPS;
     if ((b->traced >> i & 1u) != 0) {
         const VEC v = water->v;
-        const VEC way = dt * (water->sum - 0.5 * v) + LOOK(b->dt_twelfth) * (v * v);
+        const VEC way = dt * (water->sum - 0.5 * v) + LOOK(b->twelfth) * (v * v);
         AT(b->trace_v_m_s[i]) = v;
         AT(b->trace_way_m[i]) = way - LOOK(b->begin_m);
     }
 }
 
-STRIP_INLINE void OF(water_frame)(batch_block_t *b, bool whole_delay, bool traced) {
+STRIP_INLINE void OF(water_frame)(batch_block_t *b, bool whole, bool traced) {
     late_rows_t late;
     find_late(b, &late);
     for (unsigned first = 0; first < BATCH_LANES; first += STRIPS * STRIP_WIDTH) {
@@ -173,19 +178,13 @@ STRIP_INLINE void OF(water_frame)(batch_block_t *b, bool whole_delay, bool trace
 #pragma GCC unroll 4 /* SUBSTEPS */
         for (unsigned i = 0; i < SUBSTEPS; i++) {
             EACH_BESIDE(l) {
-                OF(water_step)
-                (&water[p], LOOK(late.row[i]), LOOK(b->over_kt[i]), LOOK(b->under[i]), whole_delay);
+                OF(water_step)(&water[p], b, i, l, LOOK(late.row[i]), whole);
                 if (traced) {
                     OF(trace)(b, &water[p], l, i + 1);
                 }
             }
         }
-        EACH_BESIDE(l) {
-            OF(keep_water)(&water[p], b, l);
-            if (!whole_delay) {
-                AT(b->late) = water[p].late;
-            }
-        }
+        EACH_BESIDE(l) { OF(keep_water)(&water[p], b, l, whole); }
     }
 }
 

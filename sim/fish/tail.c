@@ -97,19 +97,25 @@ static void drive_two_points(const tail_t *tail, double angle, double next, driv
     }
 }
 
-/* The lag is exact for a command that goes straight from |from| to |to|: the servo makes up
- * |settle| of what it lacks to a target that runs ahead of the command. */
+tail_servo_t tail_servo(double lag_s, double rate_rad_s, double frame_s) {
+    const double h = frame_s / SUBSTEPS;
+    const double settle = lag_s > 0 ? 1 - exp(-h / lag_s) : 1;
+    return (tail_servo_t){
+        .settle = settle,
+        .ahead_frames = 1.0 / SUBSTEPS / settle - lag_s / frame_s,
+        .most_rad = rate_rad_s > 0 ? rate_rad_s * h : 1e9,
+    };
+}
+
 static void servo_frame(tail_t *tail, double from, double to, double frame_s, drive_t *drive) {
     const double span_s = fmax(frame_s, SPAN_MIN_S);
-    const double h = span_s / SUBSTEPS;
-    const double settle = tail->lag_s > 0 ? 1 - exp(-h / tail->lag_s) : 1;
-    const double ahead_frames = 1.0 / SUBSTEPS / settle - tail->lag_s / span_s;
-    const double most = tail->rate_rad_s > 0 ? tail->rate_rad_s * h : 1e9;
-    const double to_amplitude = 2 / (h * tail->omega_rad_s);
+    const tail_servo_t servo = tail_servo(tail->lag_s, tail->rate_rad_s, span_s);
+    const double most = servo.most_rad;
+    const double to_amplitude = 2 / (span_s / SUBSTEPS * tail->omega_rad_s);
     double angle = tail->servo_rad;
-    double target = from + (to - from) * ahead_frames;
+    double target = from + (to - from) * servo.ahead_frames;
     for (unsigned i = 0; i < SUBSTEPS; i++) {
-        double moved = settle * (target - angle);
+        double moved = servo.settle * (target - angle);
         moved = moved > most ? most : moved < -most ? -most : moved;
         const double next = angle + moved;
         drive_swing(drive, i, angle + next, moved * to_amplitude);

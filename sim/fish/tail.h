@@ -32,6 +32,16 @@ typedef struct {
     double bias_rad;       /* real mean angle; a limp tail trails straight */
 } tail_t;
 
+/* How a servo follows a command that goes straight on for |frame_s|, in a substep: it makes up
+ * |settle| of what it lacks to a target that runs |ahead_frames| ahead of the command, by which the
+ * lag is exact, but moves |most_rad| at most. */
+typedef struct {
+    double settle, ahead_frames, most_rad;
+} tail_servo_t;
+
+/* 0 = no lag, no limit. */
+tail_servo_t tail_servo(double lag_s, double rate_rad_s, double frame_s);
+
 void tail_init(tail_t *tail, const sim_config_t *config, uint32_t frames_per_beat);
 
 /* The tail is put to the centre, which |pulse_ticks| is; the next frame is frame 0 of a beat. */

@@ -6,9 +6,8 @@
 #include <math.h>
 #include <stdbool.h>
 
-/* Where the fraction below holds; |z2| = h*kt*kt, |kt| = k_per_m*dt_s. */
-#define DRAG_FRACTION_Z2 0.0025
-#define DRAG_FRACTION_VKT 0.05
+/* Where the fraction below holds: z = sqrt(h)*kt and v*kt are less; |kt| = k_per_m*dt_s. */
+#define DRAG_FRACTION_MOST 0.05
 
 /* What a step is computed from: h = thrust*over/under, which is not negative, is the square of the
  * speed it would settle at; |under| > 0. */
@@ -17,8 +16,9 @@ typedef struct {
 } drag_push_t;
 
 static inline bool drag_is_fraction(double v_m_s, drag_push_t push, double kt) {
-    return v_m_s >= 0 && push.thrust * push.over * kt * kt < DRAG_FRACTION_Z2 * push.under &&
-           v_m_s * kt < DRAG_FRACTION_VKT;
+    const double most = DRAG_FRACTION_MOST;
+    return v_m_s >= 0 && push.thrust * push.over * kt * kt < most * most * push.under &&
+           v_m_s * kt < most;
 }
 
 /* The speed a step later: tanh(z)/z as (15 + z2)/(15 + 6 z2) (relative error 1e-11), all in one
@@ -52,38 +52,34 @@ static inline double drag_curve(double *v_m_s, double h, double k_per_m, double 
     return (z + log1p(0.5 * (1.0 - v / ve) * d)) / k_per_m;
 }
 
+static inline double drag_twelfth(double kt, double dt_s) { return dt_s * kt * (1.0 / 12.0); }
+
 /* The way since somewhere, but for a constant, after steps in a row: Hermite's rule from the exact
  * accelerations at both ends of each (2e-7 at the limit of the fraction, 1e-9 at 0.08 m/s and 5
  * ms), summed up. |sum_m_s|: of the speeds at the ends of the steps, of which |v_m_s| is the last
- * one; |dt_twelfth| = dt_s*kt/12. */
-static inline double drag_way(double sum_m_s, double v_m_s, double dt_s, double dt_twelfth) {
-    return dt_s * (sum_m_s - 0.5 * v_m_s) + dt_twelfth * (v_m_s * v_m_s);
+ * one; |twelfth|: drag_twelfth. */
+static inline double drag_way(double sum_m_s, double v_m_s, double dt_s, double twelfth) {
+    return dt_s * (sum_m_s - 0.5 * v_m_s) + twelfth * (v_m_s * v_m_s);
 }
 
 /* Advances |v_m_s| by |dt_s| and returns by how much the sum of drag_way grows. |k_per_m| is the
  * drag over the mass. */
 static inline double drag_sum_step(double *v_m_s, drag_push_t push, double k_per_m, double dt_s) {
     const double v = *v_m_s;
-    const double kt = k_per_m * dt_s;
+    const double kt = k_per_m * dt_s, twelfth = drag_twelfth(kt, dt_s);
     if (drag_is_fraction(v, push, kt)) {
         return *v_m_s = drag_fraction(v, push, kt);
     }
     const double way_m = drag_curve(v_m_s, push.thrust * push.over / push.under, k_per_m, dt_s);
-    const double dt_twelfth = dt_s * kt * (1.0 / 12.0);
-    return (way_m - (drag_way(0, *v_m_s, dt_s, dt_twelfth) - drag_way(0, v, dt_s, dt_twelfth))) /
-           dt_s;
+    return (way_m + drag_way(0, v, dt_s, twelfth) - drag_way(0, *v_m_s, dt_s, twelfth)) / dt_s;
 }
 
 /* The same, and returns the distance. */
 static inline double drag_step(double *v_m_s, drag_push_t push, double k_per_m, double dt_s) {
-    const double v = *v_m_s;
-    const double kt = k_per_m * dt_s;
-    if (!drag_is_fraction(v, push, kt)) {
-        return drag_curve(v_m_s, push.thrust * push.over / push.under, k_per_m, dt_s);
-    }
-    const double next = drag_fraction(v, push, kt);
-    *v_m_s = next;
-    return (v + next) * (0.5 * dt_s + dt_s * kt * (1.0 / 12.0) * (next - v));
+    const double twelfth = drag_twelfth(k_per_m * dt_s, dt_s);
+    const double begin_m = drag_way(0, *v_m_s, dt_s, twelfth);
+    const double sum_m_s = drag_sum_step(v_m_s, push, k_per_m, dt_s);
+    return drag_way(sum_m_s, *v_m_s, dt_s, twelfth) - begin_m;
 }
 
 #endif

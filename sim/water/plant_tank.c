@@ -54,5 +54,5 @@ double tank_sum_step(tank_t *tank, double *v_m_s, const drive_t *drive, unsigned
 }
 
 double tank_way(const tank_t *tank, double sum_m_s, double v_m_s, double dt_s) {
-    return drag_way(sum_m_s, v_m_s, dt_s, dt_s * (tank->kappa_per_m * dt_s) * (1.0 / 12.0));
+    return drag_way(sum_m_s, v_m_s, dt_s, drag_twelfth(tank->kappa_per_m * dt_s, dt_s));
 }

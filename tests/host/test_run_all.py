@@ -70,14 +70,17 @@ def test_what_runs_beside_the_last_begins_after_the_first(tmp_path: Path) -> Non
     assert run.stdout.split()[:5] == ["first", "last", str(os.nice(0) + 10), "asides", "more"]
 
 
-@pytest.mark.parametrize(("room", "there"), [(0, True), (1 << 80, False)])
+@pytest.mark.parametrize(
+    ("room", "forbidden", "there"), [(0, 0, True), (1 << 80, 0, False), (0, -1, False)]
+)
 def test_temporary_files_are_in_memory_where_there_is_room(
-    tmp_path: Path, room: int, there: bool
+    tmp_path: Path, room: int, forbidden: int, there: bool
 ) -> None:
+    """``forbidden``: the flag of a mount from which no program runs; some flag is always set."""
     command = f"echo $TMPDIR >{tmp_path}/where; touch $TMPDIR/file"
     code = (
         f"import pathlib, run_all; run_all.MEMORY = pathlib.Path({str(tmp_path)!r});"
-        f"run_all.MEMORY_LEAST_BYTES = {room};"
+        f"run_all.MEMORY_LEAST_BYTES = {room}; run_all.os.ST_NOEXEC = {forbidden};"
         f"raise SystemExit(run_all.main(['--in-memory', 'one', {command!r}]))"
     )
     environment = {**os.environ, "TMPDIR": "/elsewhere"}

@@ -44,12 +44,16 @@ Command = Callable[..., tuple[int, Any, str]]
 TWO = Options(until=Until(2), wanted=PreflightLimits(rest_s=1))
 
 
+def work_in(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    """Without a bootstrap, which takes seconds and is tested elsewhere."""
+    patch.setattr(fit, "bootstrap", lambda *_, **__: [])
+    patch.setenv("TAILBEAT_LOGBOOK", str(folder / "library"))
+    patch.chdir(folder)
+
+
 @pytest.fixture(autouse=True)
 def quickly(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Without a bootstrap, which takes seconds and is tested elsewhere."""
-    monkeypatch.setattr(fit, "bootstrap", lambda *_, **__: [])
-    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "library"))
-    monkeypatch.chdir(tmp_path)
+    work_in(tmp_path, monkeypatch)
 
 
 @dataclass
@@ -102,31 +106,32 @@ class Tank:
         return end, operator
 
 
-@pytest.fixture
-def tank() -> Tank:
+def new_tank() -> Tank:
     return Tank(SimBoard("tank", seed=11, tail_centre_rad=0.03))
 
 
+@pytest.fixture
+def tank() -> Tank:
+    return new_tank()
+
+
 @pytest.fixture(scope="module")
-def first_day(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SimBoard]:
-    """Folder and board of a fish that the whole job has been done for once."""
-    folder = tmp_path_factory.mktemp("first")
-    board = SimBoard("tank", seed=11, tail_centre_rad=0.03)
+def first_day(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, bytes]:
+    """Folder, and the board's flash, of a fish that the whole job has been done for once."""
+    folder, tank = tmp_path_factory.mktemp("first"), new_tank()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fit, "bootstrap", lambda *_, **__: [])
-        patch.setenv("TAILBEAT_LOGBOOK", str(folder / "library"))
-        patch.chdir(folder)
-        end, operator = Tank(board).start()
+        work_in(folder, patch)
+        end, operator = tank.start()
     assert end.series is not None and operator.swims() == 3 + 2
-    return folder, board
+    return folder, tank.board.flash
 
 
 @pytest.fixture
-def known_tank(tank: Tank, first_day: tuple[Path, SimBoard], tmp_path: Path) -> Tank:
+def known_tank(tank: Tank, first_day: tuple[Path, bytes], tmp_path: Path) -> Tank:
     """The day after, with the board switched on anew."""
-    folder, board = first_day
+    folder, flash = first_day
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
-    tank.board.flash = board.flash
+    tank.board.flash = flash
     tank.board.world.power_cycle()
     return tank
 
