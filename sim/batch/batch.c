@@ -329,7 +329,6 @@ static void swim_frame(block_t *block, uint32_t frame, bool limp) {
 static void begin_beat(block_t *block, size_t beat) {
     batch_block_t *rows = &block->rows;
     const task_t *task = block->task;
-    block->way_m = 0;
     for (unsigned l = 0; l < BATCH_LANES; l++) {
         rows->base_m[l] = beat == 0 ? 0
                                     : rows->base_m[l] + lane_way_m(block, l) + block->moved_m[l] +
@@ -340,6 +339,7 @@ static void begin_beat(block_t *block, size_t beat) {
             beat < task->beats ? fabs(task->amplitude_rad[fish_of(block, l) * task->beats + beat])
                                : 0;
     }
+    block->way_m = 0;
 }
 
 static void swim_beats(block_t *block) {

@@ -102,6 +102,7 @@ static void test_thesis_plant(void) {
         TEST_ASSERT_TRUE(sim_plant_beats(&configs[i], amplitude + i * BEATS, BEATS, 1, alone));
         for (size_t k = 0; k < BEATS; k++) {
             TEST_ASSERT_TRUE(fabs(alone[k] - true_m_s[i * BEATS + k]) < 1e-9);
+            TEST_ASSERT_TRUE(fabs(speed[i * BEATS + k] - true_m_s[i * BEATS + k]) < 5e-3);
         }
     }
 }
