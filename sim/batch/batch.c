@@ -17,7 +17,6 @@
 #define FRAME_US 20000u
 #define RIPPLE_MAX 2.0
 #define ROUNDING 1e-6 /* more than that of all that has been computed */
-#define ALONE_MAX 2u  /* so many fish are faster one after the other than in a block */
 
 static const double still[SUBSTEPS] = {1, 1, 1, 1};
 
@@ -36,17 +35,17 @@ typedef struct {
 /* Fish |first| and the |count| - 1 after it. Lanes without a fish swim as the first. */
 typedef struct {
     const task_t *task;
-    size_t first, count;
-    double fps; /* 0 = no pictures are wanted */
-    uint64_t picture, frame, next_beat;
+    size_t first;
+    unsigned count;
+    double fps;           /* 0 = no pictures are wanted */
+    uint64_t beat, frame; /* that is swum now, since the swim began */
+    uint32_t frame_in_beat;
+    uint64_t picture, next_window;
     uint64_t picture_us; /* when the next picture is taken; UINT64_MAX = none */
     bool alone;          /* one fish, by the plant's own code; otherwise all lanes at once */
     tail_t tail;
     plant_t plant;
-    double way_m; /* since the beat began, alone in another plant than the tank */
     disturbance_t drawn[BATCH_LANES];
-    bool moves;                  /* the water of any lane, within the trial */
-    double moved_m[BATCH_LANES]; /* by that, since the beat began */
     batch_block_t rows;
 } block_t;
 
@@ -66,9 +65,17 @@ static bool has_servo(const sim_config_t *c) {
     return c->servo_lag_s > 0 || c->servo_rate_rad_s > 0;
 }
 
-static double drag_way_m(const batch_block_t *rows, unsigned lane) {
-    return drag_way(rows->sum_m_s[lane], rows->v_m_s[lane], rows->frame_s / SUBSTEPS,
-                    rows->twelfth[lane]);
+/* Over water, of the present beat; it begins at begin_m. */
+static double lane_way_m(const batch_block_t *rows, unsigned lane) {
+    const double dt = rows->frame_s / SUBSTEPS;
+    return rows->summed ? drag_way(rows->sum_m_s[SUBSTEPS][lane], rows->v_m_s[SUBSTEPS][lane], dt,
+                                   rows->twelfth[lane])
+                        : rows->way_m[SUBSTEPS][lane];
+}
+
+/* By moving water, of the present beat. */
+static double lane_drift_m(const batch_block_t *rows, unsigned lane) {
+    return rows->drifted_m[lane] + rows->drift_m_s[lane] * rows->frame_s;
 }
 
 static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_t swim) {
@@ -76,9 +83,10 @@ static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_
     disturbance_draw(&block->drawn[l], c, swim);
     const double gain = block->drawn[l].gain;
     const double h = rows->frame_s / SUBSTEPS;
-    rows->v_m_s[l] = block->drawn[l].start_m_s;
+    const double start_m_s = block->drawn[l].start_m_s;
+    rows->v_m_s[SUBSTEPS][l] = start_m_s;
     rows->flow_m_s[l] = block->drawn[l].flow_m_s;
-    block->moves = block->moves || block->drawn[l].moves;
+    rows->drifts = rows->drifts || block->drawn[l].moves;
     rows->kt[l] = c->kappa_per_m * h;
     rows->twice_kt[l] = 2 * rows->kt[l];
     rows->kt_fifteenth[l] = rows->kt[l] * (1.0 / 15.0);
@@ -91,13 +99,11 @@ static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_
     rows->settle[l] = servo.settle;
     rows->ahead_frames[l] = servo.ahead_frames;
     rows->most_rad[l] = servo.most_rad;
-    rows->servo_rad[l] = rows->late[l] = 0;
-    rows->late_most[l] = rows->v_m_s[l] * rows->v_m_s[l] / RIPPLE_MAX;
+    rows->tail_rad[0][l] = rows->tail_rad[1][l] = rows->late[l] = 0;
+    rows->late_most[l] = start_m_s * start_m_s / RIPPLE_MAX;
     rows->ahead[l] = cos(block->drawn[l].place_rad);
-    rows->swayed_m[0][l] = rows->swayed_m[1][l] = 0;
     rows->sway_m_per_rad[l] =
         c->plant == SIM_PLANT_REACTIVE ? 0 : SWAY_M_PER_RAD * sin(block->drawn[l].place_rad);
-    rows->sways = rows->sways || c->place_sigma_rad > 0;
     rows->bends = rows->bends || fabs(rows->quarter_bend[l]) > 0;
 }
 
@@ -121,7 +127,7 @@ static void set_windows(block_t *block) {
     rows->pictures_min = (uint32_t)fmax(3, ceil(COVERAGE_MIN * (periods + 1)));
     rows->half_window_s = block->fps > 0 ? 0.5 * periods / block->fps : 0;
     rows->window[0].open = rows->window[1].open = false;
-    block->picture = block->frame = block->next_beat = 0;
+    block->picture = block->frame = block->next_window = 0;
     if (rows->pictures_per_window < 3) {
         block->fps = 0;
     }
@@ -142,7 +148,7 @@ static size_t ring_bytes(uint64_t mask) { return (size_t)(mask + 1) * sizeof(bat
 static void clear_thrust(batch_block_t *rows) {
     uint64_t longest = 0;
     rows->same_delay = rows->whole_delay = true;
-    for (unsigned l = 0; l < BATCH_LANES; l++) {
+    for (unsigned l = 0; l < rows->lanes; l++) {
         longest = rows->delay_steps[l] > longest ? rows->delay_steps[l] : longest;
         rows->same_delay = rows->same_delay && rows->delay_steps[l] == rows->delay_steps[0];
         rows->whole_delay = rows->whole_delay && !(rows->delay_fraction[l] > 0);
@@ -155,12 +161,14 @@ static void begin(block_t *block) {
     const task_t *task = block->task;
     batch_block_t *rows = &block->rows;
     rows->frame_s = task->beat_s / task->tail->frames_per_beat;
-    rows->omega_rad_s = task->tail->omega_rad_s;
+    rows->to_amplitude = tail_to_amplitude(task->tail, rows->frame_s);
     rows->has_servo = has_servo(&task->configs[block->first]);
     rows->lossy = false;
+    rows->lanes = (block->count + BATCH_STEP - 1) / BATCH_STEP * BATCH_STEP;
     rows->step = 0;
-    block->moves = rows->sways = rows->bends = false;
-    for (unsigned l = 0; l < BATCH_LANES; l++) {
+    rows->summed = !block->alone || block->plant.kind == SIM_PLANT_TANK;
+    rows->drifts = rows->bends = false;
+    for (unsigned l = 0; l < rows->lanes; l++) {
         const size_t fish = fish_of(block, l);
         set_water(block, l, &task->configs[fish], task->swims[fish]);
         set_camera(rows, l, &task->configs[fish], task->swims[fish]);
@@ -173,49 +181,50 @@ static void begin(block_t *block) {
 static void frame_reactive(block_t *block, const drive_t *drive) {
     batch_block_t *rows = &block->rows;
     plant_t *plant = &block->plant;
-    const double way_m = block->way_m;
+    const double way_m = rows->way_m[SUBSTEPS][0];
     const double ahead = plant->motion.cosine, aside = plant->motion.sine;
     plant_frame(plant, drive, block->task->configs[block->first].tail_centre_rad, rows->frame_s);
     const plant_point_t *trace = plant->motion.trace;
     for (unsigned i = 0; i <= SUBSTEPS; i++) {
-        rows->trace_v_m_s[i][0] = trace[i].vx_m_s * ahead + trace[i].vy_m_s * aside;
-        rows->trace_way_m[i][0] =
+        rows->v_m_s[i][0] = trace[i].vx_m_s * ahead + trace[i].vy_m_s * aside;
+        rows->way_m[i][0] =
             way_m + (trace[i].x_m - trace[0].x_m) * ahead + (trace[i].y_m - trace[0].y_m) * aside;
     }
-    block->way_m = rows->trace_way_m[SUBSTEPS][0];
 }
 
-/* Over water since the beat began. */
-static double lane_way_m(const block_t *block, unsigned lane) {
-    const batch_block_t *rows = &block->rows;
-    const bool tank = !block->alone || block->plant.kind == SIM_PLANT_TANK;
-    return tank ? drag_way_m(rows, lane) - rows->begin_m[lane] : block->way_m;
-}
-
-/* The frame of the fish that swims alone. */
-static void frame_alone(block_t *block, bool limp) {
+/* Of a fish whose path is a line. */
+static void frame_straight(block_t *block, const drive_t *drive) {
     batch_block_t *rows = &block->rows;
     plant_t *plant = &block->plant;
     const double dt = rows->frame_s / SUBSTEPS;
+    double v = rows->v_m_s[SUBSTEPS][0];
+    double sum = rows->sum_m_s[SUBSTEPS][0], way_m = rows->way_m[SUBSTEPS][0];
+    for (unsigned i = 0; i <= SUBSTEPS; i++) {
+        rows->v_m_s[i][0] = v;
+        rows->sum_m_s[i][0] = sum;
+        rows->way_m[i][0] = way_m;
+        if (i < SUBSTEPS && plant->kind == SIM_PLANT_TANK) {
+            sum += tank_sum_step(&plant->tank, &v, drive, i, plant->gain, dt);
+        } else if (i < SUBSTEPS) {
+            way_m += thesis_step(&plant->thesis, &v, drive->amplitude_rad[i], plant->gain, dt);
+        }
+    }
+}
+
+/* The frame of the fish that swims alone; |next_sine| as of batch_frame_t. */
+static void frame_alone(block_t *block, double next_sine, bool limp) {
+    batch_block_t *rows = &block->rows;
     drive_t drive = {{0, 0, 0, 0}, {1, 1, 1, 1}, {1, 1, 1, 1}, {0, 0}};
     if (!limp || block->tail.has_servo) {
         tail_frame_sine(&block->tail, rows->amplitude_rad[0], rows->frame_s, &drive);
     }
-    if (plant->kind == SIM_PLANT_REACTIVE) {
+    rows->tail_rad[0][0] = rows->tail_rad[1][0];
+    rows->tail_rad[1][0] =
+        rows->has_servo ? block->tail.servo_rad : rows->amplitude_rad[0] * next_sine;
+    if (block->plant.kind == SIM_PLANT_REACTIVE) {
         frame_reactive(block, &drive);
-        return;
-    }
-    rows->trace_v_m_s[0][0] = rows->v_m_s[0];
-    rows->trace_way_m[0][0] = lane_way_m(block, 0);
-    for (unsigned i = 0; i < SUBSTEPS; i++) {
-        double *v = &rows->v_m_s[0];
-        if (plant->kind == SIM_PLANT_TANK) {
-            rows->sum_m_s[0] += tank_sum_step(&plant->tank, v, &drive, i, plant->gain, dt);
-        } else {
-            block->way_m += thesis_step(&plant->thesis, v, drive.amplitude_rad[i], plant->gain, dt);
-        }
-        rows->trace_v_m_s[i + 1][0] = *v;
-        rows->trace_way_m[i + 1][0] = lane_way_m(block, 0);
+    } else {
+        frame_straight(block, &drive);
     }
 }
 
@@ -231,30 +240,29 @@ static void store_fit(block_t *block, batch_window_t *window) {
     window->open = false;
 }
 
-static void open_window(block_t *block, uint64_t beat, double time_s) {
-    batch_window_t *window = &block->rows.window[beat & 1u];
+static void open_window(block_t *block, double time_s) {
+    batch_window_t *window = &block->rows.window[block->beat & 1u];
     memset(window, 0, sizeof *window);
     window->open = true;
-    window->beat = beat;
+    window->beat = block->beat;
     window->begin_s = time_s;
     memcpy(window->offset_m, block->rows.base_m, sizeof window->offset_m);
 }
 
 static void take_picture(block_t *block, uint64_t time_us) {
-    const uint64_t beat_us = (uint64_t)block->task->tail->frames_per_beat * FRAME_US;
-    const uint64_t beat = time_us / beat_us;
-    const double part = (double)(time_us % FRAME_US) / FRAME_US * SUBSTEPS;
+    const uint32_t in_frame_us = (uint32_t)(time_us - block->frame * FRAME_US);
+    const double part = (double)in_frame_us / FRAME_US * SUBSTEPS;
     const batch_picture_t picture = {
         .sample = block->picture,
         .time_s = (double)time_us * 1e-6,
-        .in_beat_s = (double)(time_us - beat * beat_us) * 1e-6,
+        .in_beat_s = (double)(block->frame_in_beat * FRAME_US + in_frame_us) * 1e-6,
         .substep = (unsigned)part,
         .part = part - (unsigned)part,
     };
     batch_window_t *window = block->rows.window;
-    if (beat >= block->next_beat && beat < block->task->beats) {
-        open_window(block, beat, picture.time_s);
-        block->next_beat = beat + 1;
+    if (block->beat >= block->next_window && block->beat < block->task->beats) {
+        open_window(block, picture.time_s);
+        block->next_window = block->beat + 1;
     }
     block->task->lanes->picture(&block->rows, &picture);
     for (unsigned i = 0; i < 2; i++) {
@@ -264,9 +272,9 @@ static void take_picture(block_t *block, uint64_t time_us) {
     }
 }
 
-/* The pictures out of the last frame. */
+/* The pictures out of the frame that has been swum. */
 static void look(block_t *block) {
-    const uint64_t end_us = ++block->frame * FRAME_US;
+    const uint64_t end_us = (block->frame + 1) * FRAME_US;
     while (block->picture_us < end_us) {
         take_picture(block, block->picture_us);
         block->picture++;
@@ -274,92 +282,80 @@ static void look(block_t *block) {
     }
 }
 
-/* The moving part of the flow, in the frame that has just been computed: held for that frame, as
- * the world holds it. */
-static void move_water(block_t *block) {
+/* The moving part of the flow, in the frame to come: held for that frame, as the world holds it. */
+static void drift(block_t *block) {
     batch_block_t *rows = &block->rows;
     const double since_s = (double)block->frame * rows->frame_s;
+    const double in_beat_s = block->frame_in_beat * rows->frame_s;
     for (unsigned l = 0; l < block->count; l++) {
-        const double begin_m = rows->base_m[l] + rows->trace_way_m[0][l] + block->moved_m[l] +
-                               rows->flow_m_s[l] * fmod(since_s, block->task->beat_s);
-        const double by_m_s = disturbance_flow_m_s(&block->drawn[l], since_s, begin_m);
-        for (unsigned i = 0; i <= SUBSTEPS; i++) {
-            rows->trace_v_m_s[i][l] += by_m_s;
-            rows->trace_way_m[i][l] += block->moved_m[l] + by_m_s * rows->frame_s * i / SUBSTEPS;
-        }
-        block->moved_m[l] += by_m_s * rows->frame_s;
+        rows->drifted_m[l] = lane_drift_m(rows, l);
+        const double x_m = rows->base_m[l] + lane_way_m(rows, l) + rows->drifted_m[l] +
+                           rows->flow_m_s[l] * in_beat_s;
+        rows->drift_m_s[l] = disturbance_flow_m_s(&block->drawn[l], since_s, x_m);
     }
 }
 
-/* What the lanes do for the others. */
-static void sway_alone(block_t *block, double sine) {
-    batch_block_t *rows = &block->rows;
-    const double tail_rad = rows->has_servo ? block->tail.servo_rad : rows->amplitude_rad[0] * sine;
-    rows->swayed_m[0][0] = rows->swayed_m[1][0];
-    rows->swayed_m[1][0] = rows->sway_m_per_rad[0] * tail_rad;
-}
-
-/* The points of this frame, as bits, that somebody looks at. */
-static uint32_t points_seen(const block_t *block) {
-    const uint64_t into_us = block->picture_us - block->frame * FRAME_US;
-    const bool seen = into_us < FRAME_US;
-    if (block->moves || (seen && block->fps >= 1e6 / FRAME_US)) {
-        return (1u << (SUBSTEPS + 1)) - 1;
-    }
-    return seen ? 3u << into_us / (FRAME_US / SUBSTEPS) : 0;
-}
-
-static void swim_frame(block_t *block, uint32_t frame, bool limp) {
+static void swim_frame(block_t *block, bool limp) {
     const tail_t *tail = block->task->tail;
+    const uint32_t frame = block->frame_in_beat;
     const double *sine = tail->sine + frame;
-    block->rows.traced = points_seen(block);
-    if (block->alone) {
-        frame_alone(block, limp);
-        sway_alone(block, sine[1]);
-    } else {
-        block->task->lanes->frame(&block->rows, sine[0], sine[1],
-                                  limp ? still : tail->ripple + frame * SUBSTEPS);
+    if (block->rows.drifts) {
+        drift(block);
     }
-    if (block->moves) {
-        move_water(block);
+    if (block->alone) {
+        frame_alone(block, sine[1], limp);
+    } else {
+        const batch_frame_t now = {sine[0], sine[1],
+                                   limp ? still : tail->ripple + frame * SUBSTEPS};
+        block->task->lanes->frame(&block->rows, &now);
     }
     look(block);
+    block->frame++;
+    block->frame_in_beat++;
+}
+
+/* Positions go on from where the last beat ended; the way is counted anew. */
+static void begin_way(batch_block_t *rows, unsigned l, bool first, double beat_s) {
+    const double ended_m = first ? 0
+                                 : rows->base_m[l] + lane_way_m(rows, l) + lane_drift_m(rows, l) +
+                                       rows->flow_m_s[l] * beat_s;
+    rows->sum_m_s[SUBSTEPS][l] = rows->way_m[SUBSTEPS][l] = 0;
+    rows->drifted_m[l] = rows->drift_m_s[l] = 0;
+    rows->begin_m[l] = lane_way_m(rows, l);
+    rows->base_m[l] = ended_m - rows->begin_m[l];
 }
 
 static void begin_beat(block_t *block, size_t beat) {
-    batch_block_t *rows = &block->rows;
     const task_t *task = block->task;
-    for (unsigned l = 0; l < BATCH_LANES; l++) {
-        rows->base_m[l] = beat == 0 ? 0
-                                    : rows->base_m[l] + lane_way_m(block, l) + block->moved_m[l] +
-                                          rows->flow_m_s[l] * task->beat_s;
-        rows->sum_m_s[l] = block->moved_m[l] = 0;
-        rows->begin_m[l] = drag_way_m(rows, l);
-        rows->amplitude_rad[l] =
+    block->beat = beat;
+    block->frame_in_beat = 0;
+    for (unsigned l = 0; l < block->rows.lanes; l++) {
+        begin_way(&block->rows, l, beat == 0, task->beat_s);
+        block->rows.amplitude_rad[l] =
             beat < task->beats ? fabs(task->amplitude_rad[fish_of(block, l) * task->beats + beat])
                                : 0;
     }
-    block->way_m = 0;
 }
 
 static void swim_beats(block_t *block) {
     const task_t *task = block->task;
+    const batch_block_t *rows = &block->rows;
     const uint32_t frames = task->tail->frames_per_beat;
     for (size_t k = 0; k < task->beats; k++) {
         begin_beat(block, k);
         for (uint32_t i = 0; i < frames; i++) {
-            swim_frame(block, i, false);
+            swim_frame(block, false);
         }
         for (unsigned l = 0; l < block->count; l++) {
             task->true_m_s[(block->first + l) * task->beats + k] =
-                (lane_way_m(block, l) + block->moved_m[l]) / task->beat_s + block->rows.flow_m_s[l];
+                (lane_way_m(rows, l) - rows->begin_m[l] + lane_drift_m(rows, l)) / task->beat_s +
+                rows->flow_m_s[l];
         }
     }
     /* The last beat's window closes a picture later, with the tail limp. */
     begin_beat(block, task->beats);
-    for (uint32_t i = 0; i < frames && (block->rows.window[0].open || block->rows.window[1].open);
-         i++) {
-        swim_frame(block, i, true);
+    for (uint32_t i = 0; i < frames && (rows->window[0].open || rows->window[1].open); i++) {
+        swim_frame(block, true);
     }
 }
 
@@ -415,12 +411,12 @@ static bool all_in_fraction(const batch_block_t *rows, unsigned l) {
 /* Returns how many fish it took. */
 static size_t swim_some(block_t *block, size_t first, size_t fish) {
     const task_t *task = block->task;
-    size_t count = 0;
+    unsigned count = 0;
     while (count < BATCH_LANES && first + count < fish &&
            alike(&task->configs[first], &task->configs[first + count])) {
         count++;
     }
-    if (count <= ALONE_MAX) {
+    if (count < 2) { /* one: no set of instructions would swim it faster */
         swim_alone(block, first);
         return 1;
     }

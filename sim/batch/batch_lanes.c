@@ -8,31 +8,20 @@
 #include <immintrin.h>
 #endif
 
-#define TWICE_STILL_2 4e-12 /* twice the STILL_RAD of tail.c, squared */
 #define MISSING_MAX 5.0
 #define SIGMA_MIN_M_S 1e-5
 
-#define EACH_LANE(l) for (unsigned l = 0; l < BATCH_LANES; l++)
+#define EACH_LANE(l) for (unsigned l = 0; l < b->lanes; l++)
 #define INLINE static inline __attribute__((always_inline))
 
-/* The thrust that works in the substeps of a frame. */
+/* What is known of all lanes where a frame is compiled. */
 typedef struct {
-    const double *row[SUBSTEPS];
-    batch_row_t gathered[SUBSTEPS]; /* of lanes with delays of their own */
-} late_rows_t;
+    bool servo, bends;
+    bool whole; /* all delays are the same whole number of substeps */
+} how_t;
 
-static const double *thrust_row(const batch_block_t *b, unsigned i, uint64_t delay_steps) {
+static double *thrust_row(const batch_block_t *b, unsigned i, uint64_t delay_steps) {
     return b->thrust[(b->step + i - delay_steps) & b->ring_mask];
-}
-
-static void find_late(const batch_block_t *b, late_rows_t *late) {
-    for (unsigned i = 0; i < SUBSTEPS; i++) {
-        late->row[i] = thrust_row(b, i, b->delay_steps[0]);
-        if (!b->same_delay) {
-            EACH_LANE(l) { late->gathered[i][l] = thrust_row(b, i, b->delay_steps[l])[l]; }
-            late->row[i] = late->gathered[i];
-        }
-    }
 }
 
 /* One that no lane misses. */
@@ -63,16 +52,14 @@ INLINE void fit_on(batch_block_t *b, const batch_window_t *w) {
 
 #if defined(__x86_64__)
 
-/* MIN(a, b) is a < b ? a : b, MAX(a, b) is a > b ? a : b, as C has it; ABOVE(a, b, x, y) is
- * a > b ? x : y. */
+/* MAX(a, b) is a > b ? a : b, as C has it; CLAMP(a, most) is between -most and most. */
 #define STRIP_LABEL plain
 #define STRIP_TEXT "plain"
 #define STRIP_TARGET
 #define STRIP_WIDTH 2
-#define STRIP_ABOVE(a, b, x, y) OF(choice)((BITS)((a) > (b)), x, y)
 #define STRIP_ONES(bits) OF(ones)(bits)
 #define STRIP_SQRT(a) ((VEC)_mm_sqrt_pd((__m128d)(a)))
-#define STRIP_MIN(a, b) ((VEC)_mm_min_pd((__m128d)(a), (__m128d)(b)))
+#define STRIP_CLAMP(a, most) STRIP_MAX(-(most), (VEC)_mm_min_pd((__m128d)(most), (__m128d)(a)))
 #define STRIP_MAX(a, b) ((VEC)_mm_max_pd((__m128d)(a), (__m128d)(b)))
 #include "batch_strip.h"
 
@@ -80,24 +67,28 @@ INLINE void fit_on(batch_block_t *b, const batch_window_t *w) {
 #define STRIP_TEXT "avx2"
 #define STRIP_TARGET __attribute__((target("avx2")))
 #define STRIP_WIDTH 4
-#define STRIP_ABOVE(a, b, x, y)                                                                    \
-    ((VEC)_mm256_blendv_pd((__m256d)(y), (__m256d)(x), (__m256d)((a) > (b))))
 #define STRIP_ONES(bits) OF(ones)(bits)
 #define STRIP_SQRT(a) ((VEC)_mm256_sqrt_pd((__m256d)(a)))
-#define STRIP_MIN(a, b) ((VEC)_mm256_min_pd((__m256d)(a), (__m256d)(b)))
+#define STRIP_CLAMP(a, most) STRIP_MAX(-(most), (VEC)_mm256_min_pd((__m256d)(most), (__m256d)(a)))
 #define STRIP_MAX(a, b) ((VEC)_mm256_max_pd((__m256d)(a), (__m256d)(b)))
 #include "batch_strip.h"
 
+#define AVX512 __attribute__((target("avx512f,avx512dq,avx512vl,avx512vpopcntdq")))
+
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wsign-conversion" /* within the macro, unless optimised */
+AVX512 static inline __m512d clamp_avx512(__m512d a, __m512d most) {
+    return _mm512_range_pd(a, most, 2); /* the smaller absolute value, with the sign of |a| */
+}
+#pragma GCC diagnostic pop
+
 #define STRIP_LABEL avx512
 #define STRIP_TEXT "avx512"
-#define STRIP_TARGET __attribute__((target("avx512f,avx512dq,avx512vl,avx512vpopcntdq")))
+#define STRIP_TARGET AVX512
 #define STRIP_WIDTH 8
-#define STRIP_ABOVE(a, b, x, y)                                                                    \
-    ((VEC)_mm512_mask_blend_pd(_mm512_cmp_pd_mask((__m512d)(a), (__m512d)(b), _CMP_GT_OQ),         \
-                               (__m512d)(y), (__m512d)(x)))
 #define STRIP_ONES(bits) ((BITS)_mm512_popcnt_epi64((__m512i)(bits)))
 #define STRIP_SQRT(a) ((VEC)_mm512_sqrt_pd((__m512d)(a)))
-#define STRIP_MIN(a, b) ((VEC)_mm512_min_pd((__m512d)(a), (__m512d)(b)))
+#define STRIP_CLAMP(a, most) ((VEC)clamp_avx512((__m512d)(a), (__m512d)(most)))
 #define STRIP_MAX(a, b) ((VEC)_mm512_max_pd((__m512d)(a), (__m512d)(b)))
 #include "batch_strip.h"
 
@@ -120,10 +111,9 @@ const batch_lanes_t *batch_lanes(size_t index) {
 #define STRIP_TEXT "plain"
 #define STRIP_TARGET
 #define STRIP_WIDTH 2
-#define STRIP_ABOVE(a, b, x, y) OF(choice)((BITS)((a) > (b)), x, y)
 #define STRIP_ONES(bits) OF(ones)(bits)
 #define STRIP_SQRT(a) ((VEC){sqrt((a)[0]), sqrt((a)[1])})
-#define STRIP_MIN(a, b) OF(choice)((BITS)((a) < (b)), a, b)
+#define STRIP_CLAMP(a, most) STRIP_MAX(-(most), OF(choice)((BITS)((most) < (a)), most, a))
 #define STRIP_MAX(a, b) OF(choice)((BITS)((a) > (b)), a, b)
 #include "batch_strip.h"
 

@@ -9,7 +9,8 @@
 
 #include <stddef.h>
 
-#define BATCH_LANES 32u
+#define BATCH_LANES 64u
+#define BATCH_STEP 16u /* lanes are computed by so many */
 
 typedef double batch_row_t[BATCH_LANES] __attribute__((aligned(64)));
 typedef uint64_t batch_keys_t[BATCH_LANES] __attribute__((aligned(64)));
@@ -30,38 +31,48 @@ typedef struct {
 /* One block of fish in mid-swim. Rows go by lane. */
 typedef struct {
     /* the same for all */
-    double frame_s, omega_rad_s;
+    unsigned lanes; /* that are computed, by whole BATCH_STEP */
+    double frame_s;
+    double to_amplitude; /* from what a tail moves in a substep */
     bool has_servo, lossy;
     bool same_delay, whole_delay; /* of all lanes; in substeps, of each */
-    uint32_t traced;              /* bits: the points of this frame for which trace_... is filled */
-    bool sways;                   /* the head of any lane, along the tank */
+    bool drifts;                  /* the water of any lane, within the trial */
+    bool summed;                  /* the way is drag_way of sum_m_s, otherwise way_m */
     bool bends;                   /* the map of any lane */
     uint64_t ring_mask, step;
     double half_window_s;
     uint32_t pictures_per_window, pictures_min;
     /* water and tail */
     batch_row_t amplitude_rad; /* of the present beat */
-    batch_row_t v_m_s, servo_rad, late;
-    batch_row_t over_kt[SUBSTEPS], under[SUBSTEPS]; /* of the present frame; a scale is left out */
+    batch_row_t tail_rad[2];   /* as the last frame began and ended */
+    batch_row_t late;
+    /* at the points of the last frame, over water */
+    batch_row_t v_m_s[SUBSTEPS + 1], sum_m_s[SUBSTEPS + 1], way_m[SUBSTEPS + 1];
     batch_row_t half_slope, quarter_bend, twice_dead_zone_rad; /* of tank_thrust, times the gain */
     batch_row_t kt, twice_kt, kt_fifteenth, twelfth;           /* of drag_step.h */
     batch_row_t delay_fraction;
     batch_row_t ahead_frames, settle, most_rad; /* tail_servo_t */
     batch_keys_t delay_steps;
-    batch_row_t late_most;        /* thrust; beyond the fraction of drag_step.h the lane is wrong */
-    batch_row_t sum_m_s, begin_m; /* drag_way's since the beat began, and drag_way then */
-    batch_row_t trace_v_m_s[SUBSTEPS + 1], trace_way_m[SUBSTEPS + 1];
+    batch_row_t late_most; /* thrust; beyond the fraction of drag_step.h the lane is wrong */
+    batch_row_t begin_m;   /* the way as the beat began, which is never 0 by drag_way */
     /* camera */
-    batch_row_t flow_m_s, base_m; /* position at the beat's begin */
-    batch_row_t ahead;            /* part of the way that is along the tank */
-    batch_row_t sway_m_per_rad;   /* of the tail */
-    batch_row_t swayed_m[2];      /* the head's sway along it as the frame begins and ends */
+    batch_row_t flow_m_s, base_m;     /* position where the way is 0 */
+    batch_row_t drifted_m, drift_m_s; /* by the moving water: before the last frame, and in it */
+    batch_row_t ahead;                /* part of the way that is along the tank */
+    batch_row_t sway_m_per_rad;       /* of the head along it, per angle of the tail */
     batch_row_t noise_m;
     batch_keys_t noise_key, lost_key, lost_below;
     batch_window_t window[2];
     batch_row_t speed_m_s, sigma_m_s; /* of the window that was fitted last */
     batch_row_t *thrust;              /* ring of ring_mask + 1 substeps */
 } batch_block_t;
+
+/* One frame of a tail that is to go from |sine| to |next_sine| times the amplitude; |ripple| serves
+ * fish without a servo. */
+typedef struct {
+    double sine, next_sine;
+    const double *ripple; /* by substep */
+} batch_frame_t;
 
 /* When and where in the frame a picture is taken. */
 typedef struct {
@@ -74,10 +85,7 @@ typedef struct {
 
 typedef struct {
     const char *name;
-    /* One frame of the tail from |sine| to |next_sine| times the amplitude; |ripple| serves fish
-     * without a servo. */
-    void (*frame)(batch_block_t *block, double sine, double next_sine,
-                  const double ripple[SUBSTEPS]);
+    void (*frame)(batch_block_t *block, const batch_frame_t *frame);
     /* Adds a picture out of the last frame to the open windows. */
     void (*picture)(batch_block_t *block, const batch_picture_t *picture);
     void (*fit)(batch_block_t *block, const batch_window_t *window);

@@ -9,7 +9,6 @@
 #define US_PER_RAD 572.9578
 /* A tick is 5.8e-4 rad; a sine rounded to ticks stays within one of its fit. */
 #define SINE_TOLERANCE_RAD 1.5e-3
-#define STILL_RAD 1e-6
 #define SPAN_MIN_S 1e-6 /* a tick of the simulated clock */
 #define CENTRE_TICKS 4500
 /* A tail that gets stiff or limp takes its bias up or gives it up no faster than this. */
@@ -80,12 +79,9 @@ static void drive_table(const tail_t *tail, double amplitude_rad, drive_t *drive
 
 /* From twice the angle, and twice its part that is in phase with the tail's speed. */
 static void drive_swing(drive_t *drive, unsigned i, double middle, double cosine) {
-    const double square = middle * middle + cosine * cosine;
-    if (square > 4 * STILL_RAD * STILL_RAD) {
-        drive_set(drive, i, 0.5 * sqrt(square), cosine * cosine, 0.5 * square);
-    } else {
-        drive_set(drive, i, 0, 1, 1);
-    }
+    const double over = cosine * cosine;
+    const double square = middle * middle + over;
+    drive_set(drive, i, 0.5 * sqrt(square), over + TAIL_REST_RAD2, 0.5 * square + TAIL_REST_RAD2);
 }
 
 /* Amplitude and phase of the sine through two angles one frame apart. */
@@ -107,11 +103,15 @@ tail_servo_t tail_servo(double lag_s, double rate_rad_s, double frame_s) {
     };
 }
 
+double tail_to_amplitude(const tail_t *tail, double frame_s) {
+    return 2 / (frame_s / SUBSTEPS * tail->omega_rad_s);
+}
+
 static void servo_frame(tail_t *tail, double from, double to, double frame_s, drive_t *drive) {
     const double span_s = fmax(frame_s, SPAN_MIN_S);
     const tail_servo_t servo = tail_servo(tail->lag_s, tail->rate_rad_s, span_s);
     const double most = servo.most_rad;
-    const double to_amplitude = 2 / (span_s / SUBSTEPS * tail->omega_rad_s);
+    const double to_amplitude = tail_to_amplitude(tail, span_s);
     double angle = tail->servo_rad;
     double target = from + (to - from) * servo.ahead_frames;
     for (unsigned i = 0; i < SUBSTEPS; i++) {

@@ -41,6 +41,9 @@ typedef struct {
 
 /* 0 = no lag, no limit. */
 tail_servo_t tail_servo(double lag_s, double rate_rad_s, double frame_s);
+/* Twice the amplitude's part in phase with the tail's speed, for each rad that it moves in a
+ * substep. */
+double tail_to_amplitude(const tail_t *tail, double frame_s);
 
 void tail_init(tail_t *tail, const sim_config_t *config, uint32_t frames_per_beat);
 

@@ -59,7 +59,7 @@ static inline double drag_twelfth(double kt, double dt_s) { return dt_s * kt * (
  * ms), summed up. |sum_m_s|: of the speeds at the ends of the steps, of which |v_m_s| is the last
  * one; |twelfth|: drag_twelfth. */
 static inline double drag_way(double sum_m_s, double v_m_s, double dt_s, double twelfth) {
-    return dt_s * (sum_m_s - 0.5 * v_m_s) + twelfth * (v_m_s * v_m_s);
+    return dt_s * sum_m_s + v_m_s * (twelfth * v_m_s - 0.5 * dt_s);
 }
 
 /* Advances |v_m_s| by |dt_s| and returns by how much the sum of drag_way grows. |k_per_m| is the

@@ -12,6 +12,10 @@
 #define FRAMES_PER_BEAT_MIN 4u
 #define FRAMES_PER_BEAT_MAX 1000u
 
+/* Added to both sides of the ripple's fraction: it is 1 for a tail that does not move at all, and
+ * that of a moving one loses no bit. */
+#define TAIL_REST_RAD2 1e-30
+
 /* In the middle of each quarter of a frame. */
 typedef struct {
     double amplitude_rad[SUBSTEPS];

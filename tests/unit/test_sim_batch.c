@@ -42,12 +42,22 @@ static sim_config_t any_fish(void) {
 
 static void be_quiet(sim_config_t *c) {
     c->gain_sigma = c->flow_sigma_m_s = c->start_sigma_m_s = c->camera_noise_m = 0;
-    c->place_sigma_rad = 0;
+    c->place_sigma_rad = c->flow_moves_m_s = c->standing_wave_m_s = 0;
 }
 
-static void any_batch(void) {
+/* Those that most batches are of. */
+static sim_config_t usual_fish(void) {
+    sim_config_t c = any_fish();
+    c.delay_s = 0.3;
+    c.map_bend_m_s_rad2 = c.camera_lost = 0;
+    c.servo_lag_s = 0.04;
+    return c;
+}
+
+static void any_batch(bool usual) {
     for (size_t i = 0; i < FISH; i++) {
-        configs[i] = any_fish();
+        configs[i] = usual ? usual_fish() : any_fish();
+        configs[i].flow_moves_m_s = configs[i].standing_wave_m_s = usual || i % 3 > 0 ? 0 : 0.01;
         swims[i] = (uint32_t)(1 + i % 3);
     }
     for (size_t i = 0; i < FISH * BEATS; i++) {
@@ -70,9 +80,9 @@ static void compare_quiet(double beat_s) {
 }
 
 static void test_without_disturbances_the_bits_are_the_plants(void) {
-    static const double beats_s[] = {1, 0.5, 1.02};
-    for (size_t n = 0; n < 3; n++) {
-        any_batch();
+    static const double beats_s[] = {1, 1, 0.5, 1.02};
+    for (size_t n = 0; n < 4; n++) {
+        any_batch(n == 0);
         for (size_t i = 0; i < FISH; i++) {
             be_quiet(&configs[i]);
         }
@@ -82,7 +92,7 @@ static void test_without_disturbances_the_bits_are_the_plants(void) {
 
 /* A drag for which the step's fraction does not hold, in between fish for which it does. */
 static void test_a_step_beyond_the_fraction_has_the_plants_bits_too(void) {
-    any_batch();
+    any_batch(false);
     for (size_t i = 0; i < FISH; i++) {
         be_quiet(&configs[i]);
         configs[i].kappa_per_m = i % 5 == 2 ? 400 : 10;
@@ -92,7 +102,7 @@ static void test_a_step_beyond_the_fraction_has_the_plants_bits_too(void) {
 
 static void test_thesis_plant(void) {
     double alone[BEATS];
-    any_batch();
+    any_batch(false);
     for (size_t i = 0; i < 3; i++) {
         sim_config_default(&configs[i], i == 1 ? SIM_PLANT_TANK : SIM_PLANT_THESIS);
         be_quiet(&configs[i]);
@@ -107,9 +117,9 @@ static void test_thesis_plant(void) {
     }
 }
 
-static void test_all_sets_of_instructions_give_the_same_bits(void) {
+static void compare_sets(bool usual) {
     static double t[FISH * BEATS], v[FISH * BEATS], s[FISH * BEATS];
-    any_batch();
+    any_batch(usual);
     TEST_ASSERT_TRUE(batch_swim_on(batch_lanes(0), configs, FISH, swims, amplitude, BEATS, 1,
                                    true_m_s, speed, sigma));
     for (size_t i = 1; batch_lanes(i) != NULL; i++) {
@@ -123,14 +133,19 @@ static void test_all_sets_of_instructions_give_the_same_bits(void) {
     }
 }
 
-static void test_no_fish_feels_its_neighbours(void) {
-    static const size_t counts[] = {1, 5, 31, 32, 33, 70};
+static void test_all_sets_of_instructions_give_the_same_bits(void) {
+    compare_sets(true);
+    compare_sets(false);
+}
+
+static void compare_neighbours(bool usual) {
+    static const size_t counts[] = {1, 5, 31, 32, 33, 47, 70};
     double t[FISH * BEATS], v[FISH * BEATS], s[FISH * BEATS];
-    any_batch();
+    any_batch(usual);
     configs[40].camera_fps = 30;
     configs[41].kappa_per_m = 500;
     swim_all(1);
-    for (size_t n = 0; n < 6; n++) {
+    for (size_t n = 0; n < 7; n++) {
         const size_t first = FISH - counts[n], at = first * BEATS;
         TEST_ASSERT_TRUE(batch_swim(configs + first, counts[n], swims + first, amplitude + at,
                                     BEATS, 1, t, v, s));
@@ -142,9 +157,49 @@ static void test_no_fish_feels_its_neighbours(void) {
     }
 }
 
+static void test_no_fish_feels_its_neighbours(void) {
+    compare_neighbours(true);
+    compare_neighbours(false);
+}
+
+/* With these the script's swim begins with a picture period, as the batch's does. */
+#define SCRIPT_TICK 30u
+#define BOOT_S 0.08
+#define BEGIN_S 0.72
+#define PICTURES_PER_BEAT 25u
+#define PICTURES 512u
+
+/* The slope of the line through a beat's pictures along the tank. */
+static double line_m_s(const sim_camera_frame_t *pictures) {
+    double st = 0, sx = 0, stt = 0, stx = 0;
+    const double n = PICTURES_PER_BEAT + 1;
+    for (unsigned i = 0; i <= PICTURES_PER_BEAT; i++) {
+        const double t = pictures[i].time_s - pictures[0].time_s;
+        st += t;
+        stt += t * t;
+        sx += pictures[i].x_m;
+        stx += t * pictures[i].x_m;
+    }
+    return (n * stx - st * sx) / (n * stt - st * st);
+}
+
+static void compare_pictures(sim_t *sim, const double measured_m_s[BEATS]) {
+    static sim_camera_frame_t pictures[PICTURES];
+    const size_t taken = sim_camera_read(sim, pictures, PICTURES);
+    size_t first = 0;
+    while (first < taken && pictures[first].time_s < BEGIN_S) {
+        first++;
+    }
+    TEST_ASSERT_TRUE(taken > first + BEATS * PICTURES_PER_BEAT);
+    for (size_t k = 0; k < BEATS; k++) {
+        const double whole = line_m_s(pictures + first + k * PICTURES_PER_BEAT);
+        TEST_ASSERT_TRUE(fabs(whole - measured_m_s[k]) < 5e-5);
+    }
+}
+
 /* The whole simulator, whose tail is told pulses of whole ticks of 0.58 mrad. */
 static void test_disturbed_beats_are_the_whole_simulators(void) {
-    any_batch();
+    any_batch(false);
     for (size_t i = 0; i < 4 * BEATS; i++) {
         amplitude[i] = between(0.2, 0.65);
     }
@@ -152,18 +207,20 @@ static void test_disturbed_beats_are_the_whole_simulators(void) {
         sim_config_default(&configs[i], SIM_PLANT_TANK);
         configs[i].seed = 77 + i;
         configs[i].imu_firmware = 0;
-        configs[i].boot_s = 0.1234;
+        configs[i].boot_s = BOOT_S;
+        configs[i].flow_moves_m_s = configs[i].standing_wave_m_s = i < 2 ? 0 : 0.01;
         swims[i] = (uint32_t)(1 + 5 * i);
     }
     swim_all(1);
     for (size_t i = 0; i < 4; i++) {
         double whole[BEATS];
-        script_reset(amplitude + i * BEATS, BEATS, 30);
+        script_reset(amplitude + i * BEATS, BEATS, SCRIPT_TICK);
         sim_t *sim = sim_new(&configs[i]);
         TEST_ASSERT_NOT_NULL(sim);
         world_set_swim(sim_world(sim), swims[i]);
         sim_run(sim, (BEATS + 2) * 1000000ull, -1, false);
         TEST_ASSERT_EQUAL(BEATS, sim_true_beats(sim, whole, BEATS));
+        compare_pictures(sim, speed + i * BEATS);
         sim_free(sim);
         for (size_t k = 0; k < BEATS; k++) {
             TEST_ASSERT_TRUE(fabs(whole[k] - true_m_s[i * BEATS + k]) < 5e-5);
@@ -178,7 +235,7 @@ static uint64_t picture_key(size_t fish, noise_stream_t stream) {
 /* A line is linear in its points: what the noise adds to a speed follows from the draws alone. */
 static void test_camera_noise_moves_the_line_as_its_draws_do(void) {
     static double quiet[FISH * BEATS];
-    any_batch();
+    any_batch(false);
     for (size_t i = 0; i < FISH; i++) {
         configs[i].camera_noise_m = 0;
         configs[i].camera_lost = 0;
@@ -215,7 +272,7 @@ static bool measurable(size_t fish, size_t beat) {
 
 static void test_lost_pictures(void) {
     unsigned unmeasured = 0;
-    any_batch();
+    any_batch(false);
     for (size_t i = 0; i < FISH; i++) {
         configs[i].camera_lost = 0.01 * (double)i;
     }
@@ -235,7 +292,7 @@ static void test_lost_pictures(void) {
 static void test_other_cameras(void) {
     static const double fps[] = {24, 27.3, 50, 7, 1.4, 0};
     for (size_t n = 0; n < 6; n++) {
-        any_batch();
+        any_batch(false);
         for (size_t i = 0; i < FISH; i++) {
             be_quiet(&configs[i]);
             configs[i].camera_fps = fps[n];
@@ -256,7 +313,7 @@ static void test_other_cameras(void) {
 
 static void test_without_camera(void) {
     static double alone[FISH * BEATS];
-    any_batch();
+    any_batch(false);
     swim_all(1);
     TEST_ASSERT_TRUE(batch_swim(configs, FISH, swims, amplitude, BEATS, 1, alone, NULL, NULL));
     TEST_ASSERT_EQUAL_MEMORY(true_m_s, alone, sizeof alone);
@@ -281,7 +338,7 @@ static void *swim_blind_in_thread(void *to) {
 static void test_threads_with_small_stacks(void) {
     pthread_attr_t small;
     pthread_t thread[THREADS];
-    any_batch();
+    any_batch(false);
     configs[7].delay_s = 5;
     configs[9].kappa_per_m = 400;
     swim_all(1);
@@ -302,7 +359,7 @@ static void test_threads_with_small_stacks(void) {
 }
 
 static void test_refuses_nonsense(void) {
-    any_batch();
+    any_batch(false);
     const sim_config_t c = configs[3];
     TEST_ASSERT_TRUE(batch_swim(configs, 0, swims, amplitude, BEATS, 1, true_m_s, speed, sigma));
     TEST_ASSERT_FALSE(

@@ -64,7 +64,7 @@ class FishBatch:
                 "Give one row of amplitudes per fish.",
             )
         numbers = np.ascontiguousarray(np.broadcast_to(number, self._count), dtype=np.uint32)
-        true, speed, sigma = (np.empty_like(amplitude) for _ in range(3))
+        true, speed, sigma = np.empty((3, *amplitude.shape))
         arrays = [ffi.from_buffer("double[]", one) for one in (amplitude, true, speed, sigma)]
         if not lib.batch_swim(
             self._configs, self._count, ffi.from_buffer("uint32_t[]", numbers), arrays[0],
