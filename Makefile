@@ -11,7 +11,8 @@ PIP_INSTALL := $(PYTHON) -m pip install --disable-pip-version-check --no-build-i
 	--force-reinstall
 NEWLIB_LICENSE := /usr/share/doc/libnewlib-arm-none-eabi/copyright
 CONFIGURE := $(STEP) configuring cmake -S . -G Ninja -DPython_EXECUTABLE=$(PYTHON) --log-level=WARNING
-PACKAGE_SOURCES := $(shell find host firmware/ hal sim wire tools/vboard CMakeLists.txt cmake -not -name __pycache__ \
+# Folders, too: a file may go. Not the uppermost: Python keeps there what tests compiled.
+PACKAGE_SOURCES := CMakeLists.txt $(shell find host firmware hal sim wire tools/vboard cmake -mindepth 1 -not -name __pycache__ \
 	-not -name '*.pyc' -not -path '*/.*_cache*')
 C_SOURCES = $(shell find firmware hal sim bench tests/unit tests/conformance tests/fuzz tests/image host/native tools/vboard/native \
 	-name '*.[ch]' 2>/dev/null)

@@ -24,7 +24,11 @@ typedef uint64_t OF(bits_t)
 #define AT(row) (*(VEC *)&(row)[l])
 #define LOOK(row) (*(const VEC *)&(row)[l])
 #define LOOK_BITS(row) (*(const BITS *)&(row)[l])
-/* Where |first|, |a|, elsewhere |b|. */
+
+/* The last group may reach beyond the lanes that are computed, but not beyond the rows. */
+_Static_assert(BATCH_LANES % GROUP_LANES == 0, "rows are whole groups");
+
+/* Where |first|, |a|, elsewhere |b|; for sets without instructions of their own. */
 STRIP_INLINE VEC OF(choice)(BITS first, VEC a, VEC b) {
     return (VEC)(((BITS)a & first) | ((BITS)b & ~first));
 }

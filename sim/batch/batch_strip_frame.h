@@ -1,7 +1,8 @@
 /*
- * A frame of the tails and of the water, for batch_strip.h. A group of strips goes through it
- * within registers, two beside each other and two behind those.
+ * A frame of the tails and of the water, for batch_strip.h, included with it for each set. A group
+ * of strips goes through it within registers, two beside each other and two behind those.
  */
+
 /* The water goes through a substep so many steps after the tail, which hides how long roots and
  * quotients take: 26.5 cycles for both (AVX-512, Zen 4), of which the divider is busy for 25. */
 #define WATER_LAG 2u

@@ -1,7 +1,8 @@
 /*
- * A picture of all fish, for batch_strip.h: where they are, the camera's noise, and the sums of the
- * lines through the pictures of each beat.
+ * A picture of all fish, for batch_strip.h, included with it for each set: where they are, the
+ * camera's noise, and the sums of the lines through the pictures of each beat.
  */
+
 #define EACH_OF_GROUP(p) _Pragma("GCC unroll 4") for (unsigned p = 0; p < GROUP; p++)
 
 /* A whole number below 2^52, exactly. */
@@ -40,15 +41,16 @@ STRIP_INLINE void OF(normal)(const BITS coins[GROUP], VEC normal[GROUP]) {
 typedef struct {
     unsigned before, after;     /* points of the frame */
     double way0, way1, v0, v1;  /* weights of way and speed there */
-    double sum, sum_v0, sum_v1; /* of the sum of the speeds before, and of the speeds then */
+    double sum, sum_v0, sum_v1; /* likewise, when the way is drag_way */
     double in_beat_s, in_frame_s;
     double part; /* of the frame */
     uint64_t draw;
     double t[2]; /* in the windows */
 } OF(view_t);
 
-/* Cubic through position and speed at both ends of a substep, as fish_at. With drag_way for both
- * ways, and that the sum grows by the speed at its end, few products are left: see way_seen. */
+/* Cubic through position and speed at both ends of a substep, as fish_at. With drag_way put in for
+ * both ways, of which the later sum is the earlier one plus the later speed, few products are left.
+ */
 STRIP_INLINE OF(view_t) OF(view)(const batch_block_t *b, const batch_picture_t *p) {
     const double dt = b->frame_s / SUBSTEPS;
     const double u = p->part, w = 1 - u;
