@@ -23,7 +23,7 @@
 #include "imu/imu.h"
 #include "imu/line.h"
 #include "imu_batch.h"
-#include "learn_past.h"
+#include "law_memory.h"
 #include "line_fit.h"
 #include "params/params.h"
 #include "settings/settings.h"

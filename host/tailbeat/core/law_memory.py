@@ -16,6 +16,8 @@ from tailbeat.core.law import LAST, Averaging, Law, LawReport, refused, update_c
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.records import fill_peaks
 
+_MASK = "uint8_t[]"
+
 
 @dataclass(frozen=True)
 class Memory:
@@ -47,25 +49,11 @@ class LawMemory:
     def __init__(self, beats: int) -> None:
         self.beats = beats
         self.rolled_back = False
-        self._memory: Any = ffi.new("memory_t *")
-        self._past: Any = ffi.new("learn_past_t *")
-        self._law: tuple[Law | None, Any] = None, None  # of the last call, and as the C code has it
-        self._rules: Any = ffi.new("memory_rules_t *")
+        self._whole: Any = ffi.new("law_memory_t *")
+        self._memory: Any = ffi.addressof(self._whole, "memory")
+        self._past: Any = ffi.addressof(self._whole, "past")
         self._report: Any = ffi.new("memory_report_t *")
-        self._executed: Any = ffi.new("float[]", beats)
         self._scratch: Any = ffi.new("float[]", beats)
-        self._errors: Any = ffi.new("float[]", beats)
-        self._mask: Any = ffi.new("uint8_t[]", beats)
-        self._visits: Any = ffi.new("uint8_t[]", beats)
-        self._trial: Any = ffi.new(
-            "law_trial_t *",
-            {
-                "beats": beats,
-                "error_m_s": self._errors,
-                "measured": self._mask,
-                "visits": self._visits,
-            },
-        )
         self._input = np.frombuffer(ffi.buffer(self._memory.amplitude_rad), np.float32)[:beats]
         lib.memory_begin(self._memory, 1, beats)
         lib.learn_past_begin(self._past, LAST, 2)
@@ -100,8 +88,7 @@ class LawMemory:
     def copy(self) -> LawMemory:
         """Another one with the same content."""
         other = LawMemory(self.beats)
-        ffi.memmove(other._memory, self._memory, ffi.sizeof("memory_t"))
-        ffi.memmove(other._past, self._past, ffi.sizeof("learn_past_t"))
+        ffi.memmove(other._whole, self._whole, ffi.sizeof("law_memory_t"))
         return other
 
     @property
@@ -115,7 +102,7 @@ class LawMemory:
         lib.memory_begin(self._memory, 1, self.beats)
         self.forget()
         values = ffi.from_buffer("float[]", np.ascontiguousarray(reference_m_s, dtype=np.float32))
-        refused(lib.memory_first(self._memory, self._native(law), values, self._scratch))
+        refused(lib.memory_first(self._memory, law.native(ffi), values, self._scratch))
 
     @property
     def report(self) -> LawReport:
@@ -160,34 +147,67 @@ class LawMemory:
     ) -> None:
         """Learns from a trial. ``complete``: it may become the best. ``extrapolation``: ILC_EXTRAP.
         Raises InputError when the law refuses it; nothing has been learned then."""
-        native, trial, report = self._native(law), self._trial, self._report
         errors = np.ascontiguousarray(error_m_s, dtype=np.float32)
         mask = np.ascontiguousarray(measured, dtype=np.uint8)
         if len(errors) != self.beats or len(mask) != self.beats:
             raise InputError(
                 f"{len(errors)} errors are no trial of {self.beats} beats.", "Give one per beat."
             )
-        ffi.memmove(self._errors, errors, 4 * self.beats)
-        ffi.memmove(self._mask, mask, self.beats)
-        self._rules.rollback_ratio, self._rules.beyond = rollback_ratio, extrapolation
-        ffi.memmove(self._executed, self._memory.amplitude_rad, 4 * self.beats)
-        rules, scratch = self._rules, self._scratch
-        refused(lib.learn_past_add(self._past, native, self._memory, rules, scratch))
-        refused(lib.memory_learn(self._memory, native, trial, 1, complete, rules, scratch, report))
-        self.rolled_back = bool(report.rolled_back)
-        if self.rolled_back:
-            self.forget()
-        else:
-            lib.learn_past_keep(self._past, native, trial, self._executed)
+        rows, which = ffi.from_buffer("float[]", errors), ffi.from_buffer(_MASK, mask)
+        found = {"beats": self.beats, "error_m_s": rows, "measured": which}
+        trial, rules = ffi.new("law_trial_t *", found), (complete, rollback_ratio, extrapolation)
+        refused(lib.law_memory_learn(self._whole, law.native(ffi), trial, *rules, self._report))
+        self.rolled_back = bool(self._report.rolled_back)
 
-    def _native(self, law: Law) -> Any:
-        if self._law[0] is not law:
-            self._law = law, law.native(ffi)
-        return self._law[1]
+
+class LawMemories:
+    """The memories of several fish that learn along the same reference, each by its own law."""
+
+    def __init__(
+        self, laws: Sequence[Law], reference_m_s: ArrayLike, averaging: Averaging | None = None
+    ) -> None:
+        """Each begins as ``LawMemory.first`` does. Raises InputError."""
+        beats = len(np.asarray(reference_m_s))
+        begun = LawMemory(beats)
+        begun.average(averaging or Averaging())
+        self._memories: Any = ffi.new("law_memory_t[]", len(laws))
+        self._laws: Any = ffi.new("law_t[]", [vars(law) for law in laws])
+        self._rolled_back: Any = ffi.new(_MASK, len(laws))
+        size = ffi.sizeof("law_memory_t")
+        for index, law in enumerate(laws):
+            begun.first(law, reference_m_s)
+            ffi.memmove(self._memories + index, begun._whole, size)
+        self._input = np.ndarray(
+            (len(laws), beats), np.float32, ffi.buffer(self._memories),
+            ffi.offsetof("law_memory_t", "memory", "amplitude_rad"), (size, 4),
+        )  # fmt: skip
+
+    @property
+    def amplitude_rad(self) -> F32:
+        """The inputs of the next trials, unsaturated, shape (fish, beats)."""
+        return self._input.copy()
+
+    def learn(
+        self, error_m_s: F32, measured: NDArray[np.bool_], complete: NDArray[np.bool_],
+        rollback_ratio: float = 0.0,
+    ) -> NDArray[np.bool_]:  # fmt: skip
+        """Learns from a trial of each, shapes (fish, beats), (fish, beats) and (fish,), as
+        ``LawMemory.learn``; a fish of which nothing was measured learns nothing. Returns which of
+        them had the best amplitudes brought back, shape (fish,). Raises InputError."""
+        shape = self._input.shape
+        if (error_m_s.shape, measured.shape, complete.shape) != (shape, shape, shape[:1]):
+            raise InputError(
+                f"errors of shape {error_m_s.shape} are no trials of {len(self._laws)} fish.",
+                "Give one per fish and beat.",
+            )
+        errors = np.ascontiguousarray(error_m_s, dtype=np.float32)
+        masks = [np.ascontiguousarray(one, dtype=np.uint8) for one in (measured, complete)]
+        rows = [ffi.from_buffer("float[]", errors), *(ffi.from_buffer(_MASK, one) for one in masks)]
+        known, back = (self._memories, self._laws, len(self._laws)), self._rolled_back
+        refused(lib.law_memory_learn_all(*known, *rows, rollback_ratio, back))
+        return np.frombuffer(ffi.buffer(back), np.bool_).copy()
 
 
 def first_amplitudes(law: Law, reference_m_s: ArrayLike) -> F32:
     """The amplitudes of iteration 1, shape (beats,), rad. Raises InputError."""
-    memory = LawMemory(len(np.asarray(reference_m_s)))
-    memory.first(law, reference_m_s)
-    return memory.amplitude_rad
+    return LawMemories([law], reference_m_s).amplitude_rad.ravel()

@@ -67,6 +67,7 @@ def config_fields() -> tuple[str, ...]:
     return tuple(name for name, _ in ffi.typeof("sim_config_t").fields)
 
 
+@cache
 def config_field(name: str) -> str:
     """The field meant by ``name``; its unit may be left out (kappa = kappa_per_m)."""
     fields = [f for f in config_fields() if f not in ("seed", "plant")]

@@ -18,7 +18,7 @@ import numpy as np
 from tailbeat.core import trial_checks as judging
 from tailbeat.core.arrays import F64
 from tailbeat.core.law import PAST_KINDS, Averaging, Law, errors_of
-from tailbeat.core.law_memory import LawMemory
+from tailbeat.core.law_memory import LawMemories
 from tailbeat.core.reference import Reference
 from tailbeat.learning.belief import believe
 from tailbeat.learning.convergence import Score, assess, input_crc
@@ -90,33 +90,23 @@ class BoardLaw(BatchLearner):
         """Empties the memory."""
         self._reference = reference
         self.laws = [replace(law, beat_s=reference.beat_s) for law in self.laws]
-        self._memories = [LawMemory(reference.beats) for _ in self.laws]
-        for memory, law in zip(self._memories, self.laws, strict=True):
-            memory.average(Averaging(PAST_KINDS[self.past].number, self.window))
-            memory.first(law, reference.speed_m_s)
+        averaging = Averaging(PAST_KINDS[self.past].number, self.window)
+        self._memories = LawMemories(self.laws, reference.speed_m_s, averaging)
+        self._most = np.array([[np.float32(law.amplitude_max_rad)] for law in self.laws])
 
     def following(self) -> F64:
-        rows = np.array([memory.amplitude_rad for memory in self._memories], dtype=np.float64)
-        most = np.array([[np.float32(law.amplitude_max_rad)] for law in self.laws])
-        return np.clip(rows, 0.0, most)
+        return np.clip(self._memories.amplitude_rad.astype(np.float64), 0.0, self._most)
 
     def learn(self, trials: BatchTrials) -> Columns:
         """A fish without any speed keeps its amplitudes; a trial without a speed in its last beat
         counts as cut short."""
         errors, measured = errors_of(self._reference.speed_m_s, trials.speed_m_s)
-        mask = measured.astype(np.uint8)
-        some: list[bool] = np.any(measured, axis=1).tolist()
-        last: list[bool] = measured[:, -1].tolist()
-        back = []
-        for i, (memory, law) in enumerate(zip(self._memories, self.laws, strict=True)):
-            if some[i]:
-                memory.learn(law, errors[i], mask[i], last[i], self.rollback_ratio)
-            back.append(ROLLED_BACK if some[i] and memory.rolled_back else "")
+        back = self._memories.learn(errors, measured, measured[:, -1], self.rollback_ratio)
         return {
             "gain_rad_s_m": [law.kp_rad_s_m for law in self.laws],
             "lead_beats": [float(law.lead_beats) for law in self.laws],
             "swum_law": "p" if self.past == "last" else self.past,
-            "verdict": back if self.rollback_ratio > 0 else "",
+            "verdict": np.where(back, ROLLED_BACK, "").tolist() if self.rollback_ratio > 0 else "",
         }
 
 
