@@ -97,7 +97,7 @@ class Browser:
 
     def until(self, script: str, patience_s: float = PATIENCE_S) -> None:
         try:
-            WebDriverWait(self.driver, patience_s, 0.03).until(lambda _: self.ask(script))
+            WebDriverWait(self.driver, patience_s, 0.1).until(lambda _: self.ask(script))
         except TimeoutException:
             shown = self.ask("document.body.innerText")
             raise AssertionError(f"never: {script}\nthe page shows:\n{shown}") from None
@@ -210,7 +210,7 @@ class Browser:
         name = self.ask(f"document.querySelector({json.dumps(selector)}).download")
         self.click(selector)
         path = self.downloads / str(name)
-        WebDriverWait(self.driver, PATIENCE_S, 0.05).until(lambda _: path.is_file())
+        WebDriverWait(self.driver, PATIENCE_S, 0.1).until(lambda _: path.is_file())
         return path
 
     def complaints(self) -> list[str]:
