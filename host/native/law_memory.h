@@ -14,12 +14,12 @@ typedef struct {
     learn_past_t past;
 } law_memory_t;
 
-/* Learns from |trial|, which swam the memory's amplitudes, by all trials that |past| says, and
- * keeps it there; amplitudes that were brought back have no past. |complete|, |rollback_ratio|,
- * |beyond|, |report| and refusals, after which nothing has changed: as memory_learn. */
-law_result_t law_memory_learn(law_memory_t *whole, const law_t *law, const law_trial_t *trial,
-                              bool complete, float rollback_ratio, beyond_t beyond,
-                              memory_report_t *report);
+/* Learns from a trial that swam the memory's amplitudes, by all trials that |past| says, and keeps
+ * it there; amplitudes that were brought back have no past. |error_m_s|, |measured|: of each beat,
+ * as in law_trial_t. The rest, and refusals, after which nothing has changed: as memory_learn. */
+law_result_t law_memory_learn(law_memory_t *whole, const law_t *law, const float *error_m_s,
+                              const uint8_t *measured, bool complete, float rollback_ratio,
+                              beyond_t beyond, memory_report_t *report);
 
 /* |count| memories of as many beats, each by its own law from its own trial. Rows of beats:
  * |error_m_s|, and |measured|, 1 where there is a speed, else 0; whose row has none learns nothing.

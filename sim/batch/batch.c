@@ -37,9 +37,9 @@ typedef struct {
     const task_t *task;
     size_t first;
     unsigned count;
-    double fps;           /* 0 = no pictures are wanted */
-    uint64_t beat, frame; /* that is swum now, since the swim began */
-    uint32_t frame_in_beat;
+    double fps;     /* 0 = no pictures are wanted */
+    uint64_t beat;  /* the present one */
+    uint32_t frame; /* of that beat */
     uint64_t picture, next_window;
     uint64_t picture_us; /* when the next picture is taken; UINT64_MAX = none */
     bool alone;          /* one fish, by the plant's own code; otherwise all lanes at once */
@@ -59,6 +59,11 @@ typedef struct {
 
 static size_t fish_of(const block_t *block, unsigned lane) {
     return block->first + (lane < block->count ? lane : 0);
+}
+
+/* When the present frame begins, since the swim did. */
+static uint64_t frame_us(const block_t *block) {
+    return (block->beat * block->task->tail->frames_per_beat + block->frame) * FRAME_US;
 }
 
 static bool has_servo(const sim_config_t *c) {
@@ -99,7 +104,7 @@ static void set_water(block_t *block, unsigned l, const sim_config_t *c, uint32_
     rows->settle[l] = servo.settle;
     rows->ahead_frames[l] = servo.ahead_frames;
     rows->most_rad[l] = servo.most_rad;
-    rows->tail_rad[0][l] = rows->tail_rad[1][l] = rows->late[l] = 0;
+    rows->tail_rad[0][l] = rows->tail_rad[1][l] = rows->late[l] = rows->base_m[l] = 0;
     rows->late_most[l] = start_m_s * start_m_s / RIPPLE_MAX;
     rows->ahead[l] = cos(block->drawn[l].place_rad);
     rows->sway_m_per_rad[l] =
@@ -127,7 +132,7 @@ static void set_windows(block_t *block) {
     rows->pictures_min = (uint32_t)fmax(3, ceil(COVERAGE_MIN * (periods + 1)));
     rows->half_window_s = block->fps > 0 ? 0.5 * periods / block->fps : 0;
     rows->window[0].open = rows->window[1].open = false;
-    block->picture = block->frame = block->next_window = 0;
+    block->picture = block->next_window = 0;
     if (rows->pictures_per_window < 3) {
         block->fps = 0;
     }
@@ -250,12 +255,12 @@ static void open_window(block_t *block, double time_s) {
 }
 
 static void take_picture(block_t *block, uint64_t time_us) {
-    const uint32_t in_frame_us = (uint32_t)(time_us - block->frame * FRAME_US);
+    const uint32_t in_frame_us = (uint32_t)(time_us - frame_us(block));
     const double part = (double)in_frame_us / FRAME_US * SUBSTEPS;
     const batch_picture_t picture = {
         .sample = block->picture,
         .time_s = (double)time_us * 1e-6,
-        .in_beat_s = (double)(block->frame_in_beat * FRAME_US + in_frame_us) * 1e-6,
+        .in_beat_s = (double)(block->frame * FRAME_US + in_frame_us) * 1e-6,
         .substep = (unsigned)part,
         .part = part - (unsigned)part,
     };
@@ -272,9 +277,9 @@ static void take_picture(block_t *block, uint64_t time_us) {
     }
 }
 
-/* The pictures out of the frame that has been swum. */
+/* The pictures out of the present frame, once it is computed. */
 static void look(block_t *block) {
-    const uint64_t end_us = (block->frame + 1) * FRAME_US;
+    const uint64_t end_us = frame_us(block) + FRAME_US;
     while (block->picture_us < end_us) {
         take_picture(block, block->picture_us);
         block->picture++;
@@ -285,8 +290,8 @@ static void look(block_t *block) {
 /* The moving part of the flow, in the frame to come: held for that frame, as the world holds it. */
 static void drift(block_t *block) {
     batch_block_t *rows = &block->rows;
-    const double since_s = (double)block->frame * rows->frame_s;
-    const double in_beat_s = block->frame_in_beat * rows->frame_s;
+    const double since_s = (double)(frame_us(block) / FRAME_US) * rows->frame_s;
+    const double in_beat_s = block->frame * rows->frame_s;
     for (unsigned l = 0; l < block->count; l++) {
         rows->drifted_m[l] = lane_drift_m(rows, l);
         const double x_m = rows->base_m[l] + lane_way_m(rows, l) + rows->drifted_m[l] +
@@ -297,7 +302,7 @@ static void drift(block_t *block) {
 
 static void swim_frame(block_t *block, bool limp) {
     const tail_t *tail = block->task->tail;
-    const uint32_t frame = block->frame_in_beat;
+    const uint32_t frame = block->frame;
     const double *sine = tail->sine + frame;
     if (block->rows.drifts) {
         drift(block);
@@ -311,29 +316,36 @@ static void swim_frame(block_t *block, bool limp) {
     }
     look(block);
     block->frame++;
-    block->frame_in_beat++;
 }
 
-/* Positions go on from where the last beat ended; the way is counted anew. */
-static void begin_way(batch_block_t *rows, unsigned l, bool first, double beat_s) {
-    const double ended_m = first ? 0
-                                 : rows->base_m[l] + lane_way_m(rows, l) + lane_drift_m(rows, l) +
-                                       rows->flow_m_s[l] * beat_s;
-    rows->sum_m_s[SUBSTEPS][l] = rows->way_m[SUBSTEPS][l] = 0;
-    rows->drifted_m[l] = rows->drift_m_s[l] = 0;
-    rows->begin_m[l] = lane_way_m(rows, l);
-    rows->base_m[l] = ended_m - rows->begin_m[l];
-}
-
+/* The way is counted anew. */
 static void begin_beat(block_t *block, size_t beat) {
     const task_t *task = block->task;
+    batch_block_t *rows = &block->rows;
     block->beat = beat;
-    block->frame_in_beat = 0;
-    for (unsigned l = 0; l < block->rows.lanes; l++) {
-        begin_way(&block->rows, l, beat == 0, task->beat_s);
-        block->rows.amplitude_rad[l] =
+    block->frame = 0;
+    for (unsigned l = 0; l < rows->lanes; l++) {
+        rows->sum_m_s[SUBSTEPS][l] = rows->way_m[SUBSTEPS][l] = 0;
+        rows->drifted_m[l] = rows->drift_m_s[l] = 0;
+        rows->begin_m[l] = lane_way_m(rows, l);
+        rows->base_m[l] -= rows->begin_m[l];
+        rows->amplitude_rad[l] =
             beat < task->beats ? fabs(task->amplitude_rad[fish_of(block, l) * task->beats + beat])
                                : 0;
+    }
+}
+
+static void end_beat(block_t *block) {
+    const task_t *task = block->task;
+    batch_block_t *rows = &block->rows;
+    for (unsigned l = 0; l < block->count; l++) {
+        task->true_m_s[(block->first + l) * task->beats + (size_t)block->beat] =
+            (lane_way_m(rows, l) - rows->begin_m[l] + lane_drift_m(rows, l)) / task->beat_s +
+            rows->flow_m_s[l];
+    }
+    for (unsigned l = 0; l < rows->lanes; l++) {
+        rows->base_m[l] = rows->base_m[l] + lane_way_m(rows, l) + lane_drift_m(rows, l) +
+                          rows->flow_m_s[l] * task->beat_s;
     }
 }
 
@@ -346,11 +358,7 @@ static void swim_beats(block_t *block) {
         for (uint32_t i = 0; i < frames; i++) {
             swim_frame(block, false);
         }
-        for (unsigned l = 0; l < block->count; l++) {
-            task->true_m_s[(block->first + l) * task->beats + k] =
-                (lane_way_m(rows, l) - rows->begin_m[l] + lane_drift_m(rows, l)) / task->beat_s +
-                rows->flow_m_s[l];
-        }
+        end_beat(block);
     }
     /* The last beat's window closes a picture later, with the tail limp. */
     begin_beat(block, task->beats);

@@ -27,6 +27,7 @@ typedef uint64_t OF(bits_t)
 
 /* The last group may reach beyond the lanes that are computed, but not beyond the rows. */
 _Static_assert(BATCH_LANES % GROUP_LANES == 0, "rows are whole groups");
+_Static_assert(BATCH_STEP % (GROUP_LANES / 2) == 0, "what is computed goes by half a group");
 
 /* Where |first|, |a|, elsewhere |b|; for sets without instructions of their own. */
 STRIP_INLINE VEC OF(choice)(BITS first, VEC a, VEC b) {

@@ -69,8 +69,10 @@ STRIP_INLINE void OF(tail_step)(OF(tail_t) * tail, OF(swing_t) * swing, const ba
 /* Without a servo. */
 STRIP_INLINE void OF(table_step)(OF(swing_t) * swing, batch_block_t *b, unsigned l, unsigned i,
                                  const batch_frame_t *frame) {
-    AT(b->tail_rad[0]) = LOOK(b->amplitude_rad) * frame->sine;
-    AT(b->tail_rad[1]) = LOOK(b->amplitude_rad) * frame->next_sine;
+    if (i == 0) {
+        AT(b->tail_rad[0]) = LOOK(b->amplitude_rad) * frame->sine;
+        AT(b->tail_rad[1]) = LOOK(b->amplitude_rad) * frame->next_sine;
+    }
     swing->twice = 2 * LOOK(b->amplitude_rad);
     swing->over_kt = frame->ripple[i] * LOOK(b->kt);
     swing->under = 1.0 - (VEC){0};
@@ -133,8 +135,8 @@ typedef struct {
     OF(tail_t) tail[GROUP];
     OF(water_t) water[GROUP];
     OF(swing_t) swing[STEPS];
-    double *now[SUBSTEPS],
-        *late[SUBSTEPS]; /* rows of thrust: of this frame, and that works in it */
+    /* Rows of thrust: of this frame, and what works in it when all delays are the same. */
+    double *now[SUBSTEPS], *late[SUBSTEPS];
 } OF(group_t);
 
 /* |how|, here and below, is constant where the code is compiled. */
@@ -199,6 +201,7 @@ STRIP_INLINE void OF(frame_so)(batch_block_t *b, const batch_frame_t *frame, how
     for (; first + GROUP_LANES <= b->lanes; first += GROUP_LANES) {
         OF(group_frame)(b, frame, first, GROUP, how);
     }
+    /* The lanes go by half a group at least, in all sets. */
     if (BATCH_STEP % GROUP_LANES != 0 && first < b->lanes) {
         OF(group_frame)(b, frame, first, GROUP / 2, how);
     }

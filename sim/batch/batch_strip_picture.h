@@ -39,7 +39,7 @@ STRIP_INLINE void OF(normal)(const BITS coins[GROUP], VEC normal[GROUP]) {
 
 /* What a picture is computed with in every lane. */
 typedef struct {
-    unsigned before, after;     /* points of the frame */
+    unsigned before;            /* point of the frame */
     double way0, way1, v0, v1;  /* weights of way and speed there */
     double sum, sum_v0, sum_v1; /* likewise, when the way is drag_way */
     double in_beat_s, in_frame_s;
@@ -59,7 +59,6 @@ STRIP_INLINE OF(view_t) OF(view)(const batch_block_t *b, const batch_picture_t *
     const double part = (p->substep + p->part) / SUBSTEPS;
     return (OF(view_t)){
         .before = p->substep,
-        .after = p->substep + 1,
         .way0 = way0,
         .way1 = way1,
         .v0 = v0,
@@ -78,14 +77,14 @@ STRIP_INLINE OF(view_t) OF(view)(const batch_block_t *b, const batch_picture_t *
 
 STRIP_INLINE VEC OF(way_seen)(const batch_block_t *b, const OF(view_t) * see, unsigned l,
                               bool summed) {
-    const VEC v0 = LOOK(b->v_m_s[see->before]), v1 = LOOK(b->v_m_s[see->after]);
+    const VEC v0 = LOOK(b->v_m_s[see->before]), v1 = LOOK(b->v_m_s[see->before + 1]);
     if (summed) {
         const VEC twelfth = LOOK(b->twelfth);
         return see->sum * LOOK(b->sum_m_s[see->before]) +
                v0 * (see->way0 * twelfth * v0 + see->sum_v0) +
                v1 * (see->way1 * twelfth * v1 + see->sum_v1);
     }
-    return see->way0 * LOOK(b->way_m[see->before]) + see->way1 * LOOK(b->way_m[see->after]) +
+    return see->way0 * LOOK(b->way_m[see->before]) + see->way1 * LOOK(b->way_m[see->before + 1]) +
            see->v0 * v0 - see->v1 * v1;
 }
 
@@ -156,14 +155,16 @@ STRIP_INLINE void OF(find_lost)(const batch_block_t *b, uint64_t sample, unsigne
     }
 }
 
-STRIP_INLINE void OF(add)(const batch_block_t *b, batch_window_t *w, uint64_t sample,
-                          unsigned first, double t, const VEC x_m[GROUP]) {
-    BITS lost[GROUP];
-    if (b->lossy) {
-        OF(find_lost)(b, sample, first, lost);
-        EACH_OF_GROUP(p) { OF(add_seen)(w, first + p * STRIP_WIDTH, t, x_m[p], lost[p]); }
-    } else {
-        EACH_OF_GROUP(p) { OF(add_all)(w, first + p * STRIP_WIDTH, t, x_m[p]); }
+/* |lost|: NULL when nothing can be. */
+STRIP_INLINE void OF(add)(batch_window_t *w, unsigned first, double t, const VEC x_m[GROUP],
+                          const BITS *lost) {
+    EACH_OF_GROUP(p) {
+        const unsigned l = first + p * STRIP_WIDTH;
+        if (lost != NULL) {
+            OF(add_seen)(w, l, t, x_m[p], lost[p]);
+        } else {
+            OF(add_all)(w, l, t, x_m[p]);
+        }
     }
 }
 
@@ -175,10 +176,14 @@ STRIP_INLINE void OF(picture_so)(batch_block_t *b, const batch_picture_t *p, boo
     }
     for (unsigned first = 0; first < b->lanes; first += GROUP_LANES) {
         VEC x_m[GROUP];
+        BITS lost[GROUP] = {{0}};
         OF(measure)(b, &see, first, x_m, summed, drifts);
+        if (b->lossy) {
+            OF(find_lost)(b, p->sample, first, lost);
+        }
         for (unsigned i = 0; i < 2; i++) {
             if (b->window[i].open) {
-                OF(add)(b, &b->window[i], p->sample, first, see.t[i], x_m);
+                OF(add)(&b->window[i], first, see.t[i], x_m, b->lossy ? lost : NULL);
             }
         }
     }

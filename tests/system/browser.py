@@ -35,6 +35,7 @@ START = "from tailbeat.app.cli import main; main()"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 LAPTOP, PHONE = (1366, 768), (390, 844)
 PATIENCE_S = 600.0
+LOOK_S = 0.1  # from one look at the page to the next; each makes it lay out its text
 SETTLED_S = 60.0  # what opens has opened long before, on a busy machine too
 AGAIN_S = 30.0  # until somebody presses a button once more
 SPEED = 10.0  # much faster, and a starved page loses the link by the board's own clock
@@ -97,7 +98,7 @@ class Browser:
 
     def until(self, script: str, patience_s: float = PATIENCE_S) -> None:
         try:
-            WebDriverWait(self.driver, patience_s, 0.1).until(lambda _: self.ask(script))
+            WebDriverWait(self.driver, patience_s, LOOK_S).until(lambda _: self.ask(script))
         except TimeoutException:
             shown = self.ask("document.body.innerText")
             raise AssertionError(f"never: {script}\nthe page shows:\n{shown}") from None
@@ -210,7 +211,7 @@ class Browser:
         name = self.ask(f"document.querySelector({json.dumps(selector)}).download")
         self.click(selector)
         path = self.downloads / str(name)
-        WebDriverWait(self.driver, PATIENCE_S, 0.1).until(lambda _: path.is_file())
+        WebDriverWait(self.driver, PATIENCE_S, LOOK_S).until(lambda _: path.is_file())
         return path
 
     def complaints(self) -> list[str]:

@@ -45,23 +45,25 @@ static void be_quiet(sim_config_t *c) {
     c->place_sigma_rad = c->flow_moves_m_s = c->standing_wave_m_s = 0;
 }
 
-/* Those that most batches are of. */
-static sim_config_t usual_fish(void) {
-    sim_config_t c = any_fish();
-    c.delay_s = 0.3;
-    c.map_bend_m_s_rad2 = c.camera_lost = 0;
-    c.servo_lag_s = 0.04;
-    return c;
-}
-
-static void any_batch(bool usual) {
+static void any_batch(void) {
     for (size_t i = 0; i < FISH; i++) {
-        configs[i] = usual ? usual_fish() : any_fish();
-        configs[i].flow_moves_m_s = configs[i].standing_wave_m_s = usual || i % 3 > 0 ? 0 : 0.01;
+        configs[i] = any_fish();
+        configs[i].flow_moves_m_s = configs[i].standing_wave_m_s = i % 3 > 0 ? 0 : 0.01;
         swims[i] = (uint32_t)(1 + i % 3);
     }
     for (size_t i = 0; i < FISH * BEATS; i++) {
         amplitude[i] = chance(0.1) ? 0 : between(0, 0.78);
+    }
+}
+
+/* Of such fish as most batches are of. */
+static void usual_batch(void) {
+    any_batch();
+    for (size_t i = 0; i < FISH; i++) {
+        sim_config_t *c = &configs[i];
+        c->delay_s = 0.3;
+        c->servo_lag_s = 0.04;
+        c->map_bend_m_s_rad2 = c->camera_lost = c->flow_moves_m_s = c->standing_wave_m_s = 0;
     }
 }
 
@@ -82,7 +84,7 @@ static void compare_quiet(double beat_s) {
 static void test_without_disturbances_the_bits_are_the_plants(void) {
     static const double beats_s[] = {1, 1, 0.5, 1.02};
     for (size_t n = 0; n < 4; n++) {
-        any_batch(n == 0);
+        n == 0 ? usual_batch() : any_batch();
         for (size_t i = 0; i < FISH; i++) {
             be_quiet(&configs[i]);
         }
@@ -92,7 +94,7 @@ static void test_without_disturbances_the_bits_are_the_plants(void) {
 
 /* A drag for which the step's fraction does not hold, in between fish for which it does. */
 static void test_a_step_beyond_the_fraction_has_the_plants_bits_too(void) {
-    any_batch(false);
+    any_batch();
     for (size_t i = 0; i < FISH; i++) {
         be_quiet(&configs[i]);
         configs[i].kappa_per_m = i % 5 == 2 ? 400 : 10;
@@ -102,7 +104,7 @@ static void test_a_step_beyond_the_fraction_has_the_plants_bits_too(void) {
 
 static void test_thesis_plant(void) {
     double alone[BEATS];
-    any_batch(false);
+    any_batch();
     for (size_t i = 0; i < 3; i++) {
         sim_config_default(&configs[i], i == 1 ? SIM_PLANT_TANK : SIM_PLANT_THESIS);
         be_quiet(&configs[i]);
@@ -117,9 +119,8 @@ static void test_thesis_plant(void) {
     }
 }
 
-static void compare_sets(bool usual) {
+static void compare_sets(void) {
     static double t[FISH * BEATS], v[FISH * BEATS], s[FISH * BEATS];
-    any_batch(usual);
     TEST_ASSERT_TRUE(batch_swim_on(batch_lanes(0), configs, FISH, swims, amplitude, BEATS, 1,
                                    true_m_s, speed, sigma));
     for (size_t i = 1; batch_lanes(i) != NULL; i++) {
@@ -134,14 +135,15 @@ static void compare_sets(bool usual) {
 }
 
 static void test_all_sets_of_instructions_give_the_same_bits(void) {
-    compare_sets(true);
-    compare_sets(false);
+    usual_batch();
+    compare_sets();
+    any_batch();
+    compare_sets();
 }
 
-static void compare_neighbours(bool usual) {
+static void compare_neighbours(void) {
     static const size_t counts[] = {1, 5, 31, 32, 33, 47, 70};
     double t[FISH * BEATS], v[FISH * BEATS], s[FISH * BEATS];
-    any_batch(usual);
     configs[40].camera_fps = 30;
     configs[41].kappa_per_m = 500;
     swim_all(1);
@@ -158,8 +160,10 @@ static void compare_neighbours(bool usual) {
 }
 
 static void test_no_fish_feels_its_neighbours(void) {
-    compare_neighbours(true);
-    compare_neighbours(false);
+    usual_batch();
+    compare_neighbours();
+    any_batch();
+    compare_neighbours();
 }
 
 /* With these the script's swim begins with a picture period, as the batch's does. */
@@ -199,7 +203,7 @@ static void compare_pictures(sim_t *sim, const double measured_m_s[BEATS]) {
 
 /* The whole simulator, whose tail is told pulses of whole ticks of 0.58 mrad. */
 static void test_disturbed_beats_are_the_whole_simulators(void) {
-    any_batch(false);
+    any_batch();
     for (size_t i = 0; i < 4 * BEATS; i++) {
         amplitude[i] = between(0.2, 0.65);
     }
@@ -235,7 +239,7 @@ static uint64_t picture_key(size_t fish, noise_stream_t stream) {
 /* A line is linear in its points: what the noise adds to a speed follows from the draws alone. */
 static void test_camera_noise_moves_the_line_as_its_draws_do(void) {
     static double quiet[FISH * BEATS];
-    any_batch(false);
+    any_batch();
     for (size_t i = 0; i < FISH; i++) {
         configs[i].camera_noise_m = 0;
         configs[i].camera_lost = 0;
@@ -272,7 +276,7 @@ static bool measurable(size_t fish, size_t beat) {
 
 static void test_lost_pictures(void) {
     unsigned unmeasured = 0;
-    any_batch(false);
+    any_batch();
     for (size_t i = 0; i < FISH; i++) {
         configs[i].camera_lost = 0.01 * (double)i;
     }
@@ -292,7 +296,7 @@ static void test_lost_pictures(void) {
 static void test_other_cameras(void) {
     static const double fps[] = {24, 27.3, 50, 7, 1.4, 0};
     for (size_t n = 0; n < 6; n++) {
-        any_batch(false);
+        any_batch();
         for (size_t i = 0; i < FISH; i++) {
             be_quiet(&configs[i]);
             configs[i].camera_fps = fps[n];
@@ -313,7 +317,7 @@ static void test_other_cameras(void) {
 
 static void test_without_camera(void) {
     static double alone[FISH * BEATS];
-    any_batch(false);
+    any_batch();
     swim_all(1);
     TEST_ASSERT_TRUE(batch_swim(configs, FISH, swims, amplitude, BEATS, 1, alone, NULL, NULL));
     TEST_ASSERT_EQUAL_MEMORY(true_m_s, alone, sizeof alone);
@@ -338,7 +342,7 @@ static void *swim_blind_in_thread(void *to) {
 static void test_threads_with_small_stacks(void) {
     pthread_attr_t small;
     pthread_t thread[THREADS];
-    any_batch(false);
+    any_batch();
     configs[7].delay_s = 5;
     configs[9].kappa_per_m = 400;
     swim_all(1);
@@ -359,7 +363,7 @@ static void test_threads_with_small_stacks(void) {
 }
 
 static void test_refuses_nonsense(void) {
-    any_batch(false);
+    any_batch();
     const sim_config_t c = configs[3];
     TEST_ASSERT_TRUE(batch_swim(configs, 0, swims, amplitude, BEATS, 1, true_m_s, speed, sigma));
     TEST_ASSERT_FALSE(

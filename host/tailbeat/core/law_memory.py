@@ -153,10 +153,9 @@ class LawMemory:
             raise InputError(
                 f"{len(errors)} errors are no trial of {self.beats} beats.", "Give one per beat."
             )
-        rows, which = ffi.from_buffer("float[]", errors), ffi.from_buffer(_MASK, mask)
-        found = {"beats": self.beats, "error_m_s": rows, "measured": which}
-        trial, rules = ffi.new("law_trial_t *", found), (complete, rollback_ratio, extrapolation)
-        refused(lib.law_memory_learn(self._whole, law.native(ffi), trial, *rules, self._report))
+        rows = ffi.from_buffer("float[]", errors), ffi.from_buffer(_MASK, mask)
+        rules = complete, rollback_ratio, extrapolation
+        refused(lib.law_memory_learn(self._whole, law.native(ffi), *rows, *rules, self._report))
         self.rolled_back = bool(self._report.rolled_back)
 
 
@@ -203,8 +202,9 @@ class LawMemories:
         errors = np.ascontiguousarray(error_m_s, dtype=np.float32)
         masks = [np.ascontiguousarray(one, dtype=np.uint8) for one in (measured, complete)]
         rows = [ffi.from_buffer("float[]", errors), *(ffi.from_buffer(_MASK, one) for one in masks)]
-        known, back = (self._memories, self._laws, len(self._laws)), self._rolled_back
-        refused(lib.law_memory_learn_all(*known, *rows, rollback_ratio, back))
+        laws, back = self._laws, self._rolled_back
+        learn = lib.law_memory_learn_all
+        refused(learn(self._memories, laws, len(laws), *rows, rollback_ratio, back))
         return np.frombuffer(ffi.buffer(back), np.bool_).copy()
 
 
